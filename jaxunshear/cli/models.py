@@ -24,7 +24,7 @@ from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.errors import UserError
 from jaxunshear.output_checks import check_new_folder, check_not_among
 from jaxunshear.protected_folders import check_outside
-from jaxunshear.results.folders import find_results_folder
+from jaxunshear.results.record_files import find_results_folder
 
 if TYPE_CHECKING:
     from jaxunshear.inference.trained_model import TrainedModel
@@ -71,9 +71,8 @@ def apply(
     Those of a finished run's networks go to its own folder, where its report finds them, unless
     --out names another. Those of a command without --out are written nowhere else.
     """
-    from jaxunshear.metrics.machine import describe_provenance
+    from jaxunshear.results.provenance import describe_provenance, read_training_facts
     from jaxunshear.results.record_files import write_record
-    from jaxunshear.results.training_summaries import read_training_facts
 
     model, given = None, vars(arguments)
     if arguments.model:

@@ -15,7 +15,7 @@ from jax import Array
 
 from jaxunshear.config.targets import Targets, read_true_values
 from jaxunshear.data.reader import Batch
-from jaxunshear.evaluation.bootstrap import number_poses
+from jaxunshear.evaluation.intervals import number_poses
 from jaxunshear.evaluation.network_outputs import Run
 from jaxunshear.evaluation.pose_estimators import RidgeEstimator, estimate_poses
 from jaxunshear.evaluation.score import (

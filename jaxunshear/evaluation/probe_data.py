@@ -9,15 +9,15 @@ from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import (
     SIMULATED_FIELDS,
-    Targets,
+    Target,
     make_range_targets,
     read_true_values,
 )
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.bootstrap import number_poses
 from jaxunshear.evaluation.codes import CodeNetwork
+from jaxunshear.evaluation.intervals import number_poses
 from jaxunshear.evaluation.pose_estimators import compute_pin_features
 from jaxunshear.models.modality import PINS
 from jaxunshear.selection import select_evenly
@@ -37,9 +37,6 @@ class ProbeSplit(NamedTuple):
     poses: np.ndarray  # (N,) which pose a slide belongs to
     batch: Batch
 
-    def select_slides(self) -> dict[str, np.ndarray]:
-        return {name: v for (part, name), v in self.quantities.items() if part == "slide"}
-
 
 def read_splits(
     experiment: Experiment, examples: Examples, data_dir: Path, networks: dict[str, CodeNetwork]
@@ -49,17 +46,17 @@ def read_splits(
     Slides of the pose are scaled by their range; slides are in mm and deg, simulated ones in the
     sensor's frame, recorded ones in the frame of their labels.
     """
-    targets = _list_pose_targets(experiment, data_dir)
+    # all components of the pose that the data vary
+    if isinstance(experiment.paired, PairedData):
+        targets = make_range_targets((), experiment.paired.ranges, tuple(SIMULATED_FIELDS))
+    else:
+        targets = open_source(experiment).open_stored(data_dir).make_targets(())
     splits = {}
     for split, most in MOST_SLIDES.items():
         batch = _read_labelled_slides(examples.reader, split, most, networks[""].modality.sheared)
-        quantities = {
-            **{("pose", name): value for name, value in _scale_poses(targets, batch).items()},
-            **{
-                ("slide", name): value[:, None]
-                for name, value in read_true_values(examples.slide_targets, batch).items()
-            },
-        }
+        quantities = {("pose", target.name): _scale_pose(target, batch) for target in targets}
+        for name, value in read_true_values(examples.slide_targets, batch).items():
+            quantities["slide", name] = value[:, None]
         features = {"pins": compute_pin_features(batch[PINS.sheared])}
         for prefix, network in networks.items():
             codes = network.encode(batch[network.modality.sheared])
@@ -92,21 +89,9 @@ def _read_labelled_slides(reader: Reader, split: str, most: int, inputs: str) ->
     )
 
 
-def _list_pose_targets(experiment: Experiment, data_dir: Path) -> Targets:
-    """List all components of the pose that the data vary."""
-    if isinstance(experiment.paired, PairedData):
-        return make_range_targets((), experiment.paired.ranges, tuple(SIMULATED_FIELDS))
-    return open_source(experiment).open_stored(data_dir).make_targets(())
-
-
-def _scale_poses(targets: Targets, batch: Batch) -> dict[str, np.ndarray]:
-    poses = {}
-    for target in targets:
-        value = batch[target.field][:, target.column].astype(np.float64)
-        if target.is_circular:
-            angle = np.radians(value)
-            scaled = [np.cos(angle), np.sin(angle)]
-        else:
-            scaled = [(value - target.centre) / target.half_range]
-        poses[target.name] = np.stack(scaled, axis=-1)
-    return poses
+def _scale_pose(target: Target, batch: Batch) -> np.ndarray:
+    value = batch[target.field][:, target.column].astype(np.float64)
+    if target.is_circular:
+        angle = np.radians(value)
+        return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return np.stack([(value - target.centre) / target.half_range], axis=-1)

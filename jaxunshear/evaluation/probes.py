@@ -7,9 +7,12 @@
 A code can hide a quantity in directions of small variance, so probes see whitened codes. A quantity
 that no family finds may still be there: report the strongest family, and compare it with what the
 same families find in the network's input.
+
+`estimate_slides` estimates the slide from both codes. Once all the skin that touches slips, the
+camera does not show how far the sensor went: the commanded slide and the shear of the skin differ.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -26,7 +29,9 @@ from sklearn.linear_model import Ridge
 from sklearn.neighbors import KNeighborsRegressor
 from threadpoolctl import threadpool_limits
 
-from jaxunshear.evaluation import kernel_ridge
+from jaxunshear.evaluation.intervals import LEVEL, compute_interval, resample_means
+from jaxunshear.evaluation.pose_estimators import MAX_SEARCH_EXAMPLES, fit_ridge
+from jaxunshear.files import Json
 from jaxunshear.selection import select_evenly
 
 HIDDEN, LAYERS = 128, 2
@@ -39,10 +44,11 @@ LOG_DEVIATIONS = (-6.0, 2.0)  # least and most, of what is scaled to a deviation
 MIN_SPREAD = 1e-12  # spread of a number that does not vary
 NOISE_FLOOR = 1e-5  # of the widest direction's deviation: below it lies the rounding of float32
 MAX_DIRECTIONS = 256
+MIN_SLIP_SHARE = 0.99  # share of the touching skin that slips in a slide that counts as slipped
+SEED = 0  # of the bootstrap
 _State = tuple[VariableDict, optax.OptState]
 Codes = Float[np.ndarray, "N F"]
 Choice = TypeVar("Choice", int, float)
-_Predict = Callable[[Choice, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 class Whitening(NamedTuple):
@@ -118,7 +124,7 @@ def prepare_task(
         whitening.apply(codes),
         (targets - centre) / spread,
         whitening.apply(test_codes),
-        mark_held_out(groups),
+        np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4,
         np.asarray(codes, np.float64),
         test_codes,
         centre,
@@ -126,45 +132,49 @@ def prepare_task(
     )
 
 
-def mark_held_out(groups: Int[np.ndarray, "N"]) -> np.ndarray:
-    """Mark the examples (N,) of every fifth group."""
-    return np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4
-
-
 def fit_linear(task: ProbeTask) -> np.ndarray:
-    """Predict by ridge regression; held-out groups choose the ridge."""
+    """Predict by ridge regression; held-out groups choose the ridge, times the examples."""
 
-    def predict(ridge: float, x: np.ndarray, y: np.ndarray, test_x: np.ndarray) -> np.ndarray:
-        model = Ridge(ridge * len(x), fit_intercept=False).fit(x, y)
-        return model.predict(test_x).reshape(len(test_x), -1)
+    def make_model(ridge: float, examples: int) -> Ridge:
+        return Ridge(ridge * examples, fit_intercept=False)
 
-    return _predict_by_best(task, RIDGES, predict)
+    return _predict_by_best(task, RIDGES, make_model)
 
 
 def fit_neighbours(task: ProbeTask) -> np.ndarray:
     """Predict by the mean of the nearest codes; held-out groups choose how many."""
-
-    def predict(count: int, x: np.ndarray, y: np.ndarray, test_x: np.ndarray) -> np.ndarray:
-        return KNeighborsRegressor(count).fit(x, y).predict(test_x)
-
     most = np.count_nonzero(~task.held_out)
-    return _predict_by_best(task, [n for n in NEIGHBOURS if n <= most] or [1], predict)
+    counts = [count for count in NEIGHBOURS if count <= most] or [1]
+    return _predict_by_best(task, counts, lambda count, _: KNeighborsRegressor(count))
+
+
+def _predict_by_best(
+    task: ProbeTask,
+    choices: Sequence[Choice],
+    make_model: Callable[[Choice, int], Ridge | KNeighborsRegressor],
+) -> np.ndarray:
+    """Predict by the choice that errs least on the held-out groups."""
+    errors = {}
+    for choice in choices:
+        x, y = task.x[~task.held_out], task.y[~task.held_out]
+        predicted = make_model(choice, len(x)).fit(x, y).predict(task.x[task.held_out])
+        errors[choice] = _compute_error(predicted.reshape(-1, y.shape[1]), task)
+    model = make_model(min(errors, key=errors.__getitem__), len(task.x))
+    predicted = model.fit(task.x, task.y).predict(task.test_x)
+    return predicted.reshape(len(task.test_x), -1)
 
 
 def fit_kernel_ridge(task: ProbeTask) -> np.ndarray:
     """Predict by kernel ridge regression; held-out groups choose raw or whitened codes."""
-    choices = ((task.x, task.test_x), (task.raw_codes, task.raw_test_codes))
     fitting = np.flatnonzero(~task.held_out)
-    some = fitting[select_evenly(len(fitting), kernel_ridge.MAX_SEARCH_EXAMPLES)]
-
-    def compute_error(choice: tuple[np.ndarray, np.ndarray]) -> float:
-        features, _ = choice
-        ridge = kernel_ridge.fit(features[some], task.y[some])
-        predicted = kernel_ridge.predict(ridge, features[task.held_out])
-        return _compute_error(predicted, task)
-
-    features, test_features = min(choices, key=compute_error)
-    return kernel_ridge.predict(kernel_ridge.fit(features, task.y), test_features)
+    some = fitting[select_evenly(len(fitting), MAX_SEARCH_EXAMPLES)]
+    errors = []
+    for features in (task.x, task.raw_codes):
+        ridge = fit_ridge(features[some], task.y[some])
+        errors.append(_compute_error(ridge.predict(features[task.held_out]), task))
+    if errors[1] < errors[0]:
+        return fit_ridge(task.raw_codes, task.y).predict(task.raw_test_codes)
+    return fit_ridge(task.x, task.y).predict(task.test_x)
 
 
 def fit_trees(task: ProbeTask) -> np.ndarray:
@@ -208,19 +218,6 @@ def fit_gaussian(task: ProbeTask) -> tuple[np.ndarray, np.ndarray]:
     """
     mean, log_deviation = np.split(fit_mlp(task, gaussian=True), 2, axis=1)
     return task.unscale(mean), np.exp(log_deviation) * task.spread
-
-
-def _predict_by_best(
-    task: ProbeTask, choices: Sequence[Choice], predict: _Predict[Choice]
-) -> np.ndarray:
-    """Predict by the choice that errs least on the held-out groups."""
-    fitting, held_out = ~task.held_out, task.held_out
-
-    def compute_error(choice: Choice) -> float:
-        predicted = predict(choice, task.x[fitting], task.y[fitting], task.x[held_out])
-        return _compute_error(predicted, task)
-
-    return predict(min(choices, key=compute_error), task.x, task.y, task.test_x)
 
 
 def _compute_error(predicted: np.ndarray, task: ProbeTask) -> float:
@@ -283,3 +280,68 @@ def _train_mlp(
     start = _Best((params, optimiser.init(params)), error(params, x_held, y_held), params)
     best, _ = jax.lax.scan(check, start, keys)
     return predict(best.params, others)
+
+
+class CodedSlides(NamedTuple):
+    codes: np.ndarray  # (N, F)
+    slides: Mapping[str, np.ndarray]  # (N, 1) mm or deg by quantity
+    poses: np.ndarray  # (N,) which pose a slide belongs to
+
+    def stack_slides(self) -> np.ndarray:
+        return np.concatenate(list(self.slides.values()), axis=1)
+
+
+def estimate_slides(
+    splits: Mapping[str, CodedSlides], contact_state: Mapping[str, np.ndarray]
+) -> list[Json]:
+    """Estimate the slides of the test split; return errors by quantity and `split_by_slip`.
+
+    A small network learns mean and deviation of each quantity from the codes of training slides.
+    Its deviations are then scaled until the intervals contain 95 % of the validation slides (split
+    conformal: no distribution is assumed).
+    """
+    train, validation, test = splits["train"], splits["validation"], splits["test"]
+    codes = np.concatenate([validation.codes, test.codes])
+    task = prepare_task(train.codes, train.stack_slides(), codes, train.poses)
+    mean, deviation = fit_gaussian(task)
+    count, true = len(validation.codes), test.stack_slides()
+    scores = np.abs(mean[:count] - validation.stack_slides()) / deviation[:count]
+    scale = np.quantile(scores, min(1.0, LEVEL * (1 + 1 / count)), axis=0)
+    error, half_width = mean[count:] - true, scale * deviation[count:]
+    parts = {"all": np.ones(len(true), bool), **split_by_slip(contact_state)}
+    rows = []
+    for column, name in enumerate(test.slides):
+        for part, inside in parts.items():
+            if inside.any():
+                row = {"name": name, "part": part, "slides": int(inside.sum())}
+                errors = error[inside, column], half_width[inside, column]
+                rows.append(row | _score_intervals(*errors, test.poses[inside]))
+    return rows
+
+
+def split_by_slip(contact_state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Say (N,) which slides still stick somewhere, and which slip everywhere.
+
+    `contact_state` has the numbers of nodes that are `stuck` and `slipping`; nothing is known of
+    recorded slides, which lack both.
+    """
+    if "stuck" not in contact_state:
+        return {}
+    stuck, slipping = contact_state["stuck"], contact_state["slipping"]
+    slipped = slipping >= MIN_SLIP_SHARE * np.maximum(stuck + slipping, 1)
+    return {"sticking": ~slipped, "slipped": slipped}
+
+
+def _score_intervals(error: np.ndarray, half_width: np.ndarray, poses: np.ndarray) -> Json:
+    covered = (np.abs(error) <= half_width).astype(np.float64)
+    scores = {"mae": np.abs(error), "square": error**2, "coverage": covered}
+    means = resample_means(scores, poses, SEED)
+    return {
+        "mae": float(np.abs(error).mean()),
+        "mae interval": compute_interval(means["mae"]),
+        "rmse": float(np.sqrt(np.mean(error**2))),
+        "rmse interval": compute_interval(np.sqrt(means["square"])),
+        "coverage": float(covered.mean()),
+        "coverage interval": compute_interval(means["coverage"]),
+        "half_width": float(half_width.mean()),
+    }

@@ -12,16 +12,15 @@ import numpy as np
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import Targets, read_true_values
-from jaxunshear.evaluation.bootstrap import (
+from jaxunshear.evaluation.contact_scores import ContactScores
+from jaxunshear.evaluation.intervals import (
     INTERVALS_OVER,
     LEVEL,
     RESAMPLES,
     compute_interval,
     resample_means,
 )
-from jaxunshear.evaluation.contact_scores import ContactScores
-from jaxunshear.evaluation.measurements import round_values
-from jaxunshear.evaluation.paper_results import PAPER
+from jaxunshear.evaluation.measurements import PAPER, round_values
 from jaxunshear.evaluation.score import (
     CELL_METRICS,
     CELLS,
@@ -32,7 +31,7 @@ from jaxunshear.evaluation.score import (
 )
 from jaxunshear.files import Json
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
-from jaxunshear.metrics.machine import describe_provenance
+from jaxunshear.results.provenance import describe_provenance, read_training_facts
 from jaxunshear.results.run import (
     CodeSwapScore,
     PartPoses,
@@ -43,7 +42,6 @@ from jaxunshear.results.run import (
     Spread,
     Tables,
 )
-from jaxunshear.results.training_summaries import read_training_facts
 
 Figure = TypeVar("Figure")
 OVERALL = "overall"

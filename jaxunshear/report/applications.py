@@ -12,7 +12,7 @@ from jaxunshear.report.html import format_number, format_with_interval
 from jaxunshear.report.object_figure import PICTURES
 from jaxunshear.report.trajectory_figure import METHOD_TITLES
 from jaxunshear.report.wording import section
-from jaxunshear.results.folders import find_results_folder
+from jaxunshear.results.record_files import find_results_folder
 
 KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
     name: title for name, title in METHOD_TITLES.items() if "unsheared" in title

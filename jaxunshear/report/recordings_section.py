@@ -4,7 +4,7 @@ from markupsafe import Markup
 
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import Target
-from jaxunshear.evaluation.conformal import ELSEWHERE_NOTE
+from jaxunshear.evaluation.intervals import ELSEWHERE_NOTE
 from jaxunshear.evaluation.recorded_results import describe_test
 from jaxunshear.report import html, wording
 from jaxunshear.report.html import format_number

@@ -21,9 +21,8 @@ from jaxunshear.report import (
 )
 from jaxunshear.report.history import Trainings, read_trainings
 from jaxunshear.report.wording import Wording
-from jaxunshear.results.record_files import read_record
+from jaxunshear.results.record_files import read_record, read_times
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
-from jaxunshear.results.times import read_times
 
 
 def write_report(run_dir: Path) -> Path:

@@ -14,7 +14,7 @@ import functools
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from jaxunshear.evaluation import bootstrap
+from jaxunshear.evaluation import intervals
 
 SEED = 0
 INTERVALS_OVER = "training seeds and test poses"  # what the intervals of several seeds are over
@@ -26,9 +26,9 @@ def describe_intervals(seeds: int) -> dict[str, str | int]:
     kind = f"Student's t over {seeds} seeds and {poses}" if seeds > 1 else poses
     return {
         "interval": kind,
-        "what": f"{bootstrap.LEVEL:.0%} interval of the mean: {kind}; the same draws in all cells",
-        "over": INTERVALS_OVER if seeds > 1 else bootstrap.INTERVALS_OVER,
-        "resamples": bootstrap.RESAMPLES,
+        "what": f"{intervals.LEVEL:.0%} interval of the mean: {kind}; the same draws in all cells",
+        "over": INTERVALS_OVER if seeds > 1 else intervals.INTERVALS_OVER,
+        "resamples": intervals.RESAMPLES,
         "seed": SEED,
     }
 
@@ -41,7 +41,7 @@ def compute_interval(values: np.ndarray, poses: np.ndarray) -> list[float]:
     """
     if values.ndim != 2 or not values.size or values.shape[1:] != poses.shape:
         raise ValueError("values must be an array (seeds, N), poses (N,), neither of them empty")
-    return bootstrap.compute_interval(resample_means(values, poses))
+    return intervals.compute_interval(resample_means(values, poses))
 
 
 def resample_means(values: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -64,9 +64,9 @@ def draw_seed_weights(seeds: int, seed: int) -> np.ndarray:
     deviation is that of the mean, s / sqrt(seeds), times t / z: the 97.5 % quantiles of Student's t
     with seeds - 1 degrees of freedom and of the normal distribution. A single seed counts 1.
     """
-    upper = (1 + bootstrap.LEVEL) / 2
+    upper = (1 + intervals.LEVEL) / 2
     ratio = stdtrit(seeds - 1, upper) / ndtri(upper) if seeds > 1 else 0.0
-    normal = np.random.default_rng(seed).normal(size=(bootstrap.RESAMPLES, seeds))
+    normal = np.random.default_rng(seed).normal(size=(intervals.RESAMPLES, seeds))
     centred = normal - normal.mean(axis=1, keepdims=True)
     return 1 + ratio * np.sqrt(seeds / max(seeds - 1, 1)) * centred
 
@@ -75,4 +75,4 @@ def draw_seed_weights(seeds: int, seed: int) -> np.ndarray:
 def draw_counts(items: int, seed: int) -> np.ndarray:
     """Draw how often each item occurs in each resample with replacement, (resamples, items)."""
     shares, generator = np.full(items, 1 / items), np.random.default_rng(seed)
-    return generator.multinomial(items, shares, size=bootstrap.RESAMPLES).astype(np.float64)
+    return generator.multinomial(items, shares, size=intervals.RESAMPLES).astype(np.float64)

@@ -8,8 +8,8 @@ import numpy as np
 
 from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.bootstrap import number_poses
-from jaxunshear.evaluation.score_files import SMOOTH
+from jaxunshear.evaluation.intervals import number_poses
+from jaxunshear.evaluation.score import SMOOTH
 from jaxunshear.files import BROKEN_NPZ, explain_os_error, read_npz
 from jaxunshear.results.run import Notes, Results
 from jaxunshear.results.sweep import Outcome

@@ -10,7 +10,7 @@ import numpy as np
 from jaxunshear.config.fields import format_value
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import Sweep, get_base, list_fields
-from jaxunshear.evaluation import bootstrap
+from jaxunshear.evaluation import intervals
 from jaxunshear.report.frontier_figure import list_efficient
 from jaxunshear.results.sweep import (
     CellResult,
@@ -228,7 +228,7 @@ def _compute_recovery(seeds: Sequence[int], errors: Sequence[ScoredErrors]) -> F
     taps, slides, outputs = [resample_means(each.values, each.poses) for each in errors]
     interval = None
     if np.all(slides > taps):
-        interval = bootstrap.compute_interval((slides - outputs) / (slides - taps))
+        interval = intervals.compute_interval((slides - outputs) / (slides - taps))
     return Figure(float((sheared - unsheared) / (sheared - tap)), interval, by_seed)
 
 

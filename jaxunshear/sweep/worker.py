@@ -148,8 +148,7 @@ def _measure_codes(
 ) -> list[dict[str, object]]:
     """Measure the decoders on swapped codes, and the leakage of each code."""
     from jaxunshear.evaluation.code_swaps import ablate
-    from jaxunshear.evaluation.leakage import measure_leakage
-    from jaxunshear.evaluation.leakage_table import build_sweep_rows
+    from jaxunshear.evaluation.leakage import build_sweep_rows, measure_leakage
 
     if experiment.unshear.input == "pins":
         rows, has_shear_code = [], bool(experiment.pins.shear_code)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.baselines import (
+from jaxunshear.evaluation.network_outputs import (
     MAX_TAPS,
     collect_training_taps,
     find_nearest_images,

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.conformal import (
+from jaxunshear.evaluation.intervals import (
     COVERAGE_ELSEWHERE,
     ELSEWHERE_NOTE,
     MIN_CONTACTS,

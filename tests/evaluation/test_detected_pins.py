@@ -13,13 +13,13 @@ from jaxunshear.config.networks import PinPoseNet, PinUnshear
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.data.sources import PinLayout
-from jaxunshear.evaluation.detected_pins import (
+from jaxunshear.evaluation.network_outputs import make_run
+from jaxunshear.evaluation.simulated_evaluation import (
     DETECTED,
     DETECTED_TAP,
+    build_simulated_results,
     detect_pairs,
 )
-from jaxunshear.evaluation.network_outputs import make_run
-from jaxunshear.evaluation.simulated_evaluation import build_simulated_results
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import PINS
 from jaxunshear.perception.pin_drawing import draw_dots
@@ -57,14 +57,11 @@ class Reader:
             "sheared": drawn(slide),
         }
         found["sheared"][self.black] = 0
-        return {name: (found | {"pose_id": np.arange(len(MOVES))})[name][rows] for name in fields}
-
-
-FIELDS = ("canonical", "sheared", "canonical_pins", "sheared_pins", "pose_id")
+        return {name: found.get(name, np.arange(len(MOVES)))[rows] for name in fields}
 
 
 def test_pairs_that_are_followed_are_scored_and_the_others_counted():
-    found = detect_pairs(Reader(black=[1]), LATTICE, FIELDS)
+    found = detect_pairs(Reader(black=[1]), LATTICE)
     assert found.pairs["pose_id"].tolist() == [0, 2] and not {"canonical", "sheared"} & set(
         found.pairs
     )
@@ -81,8 +78,8 @@ def test_pairs_that_are_followed_are_scored_and_the_others_counted():
     )  # as it is
     np.testing.assert_allclose(found.pairs[DETECTED_TAP][0], LATTICE.rest, atol=0.7)
     np.testing.assert_allclose(found.pairs["sheared_pins"][1] - MOVES[2], LATTICE.rest, atol=0.7)
-    assert [len(batch["pose_id"]) for batch in found.make_test(1).batches] == [1, 1]
-    assert detect_pairs(Reader(black=range(3)), LATTICE, FIELDS) is None
+    assert [len(batch["pose_id"]) for batch in found.make_test().batches] == [2]
+    assert detect_pairs(Reader(black=range(3)), LATTICE) is None
 
 
 def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_one():

@@ -11,9 +11,9 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import make_range_targets, read_true_values
 from jaxunshear.evaluation import contact_scores
 from jaxunshear.evaluation.contact_scores import BATCH, FIELDS, Scorer, score_test
+from jaxunshear.evaluation.evaluate import encode_montage, encode_scores
 from jaxunshear.evaluation.measurements import build_measurements, select_reproducible
 from jaxunshear.evaluation.score import CELLS, Outputs, compute_chance_errors, score_images
-from jaxunshear.evaluation.score_files import encode_montage, encode_scores
 from jaxunshear.evaluation.simulated_evaluation import build_simulated_results, mark_smooth
 from jaxunshear.models.modality import IMAGES
 

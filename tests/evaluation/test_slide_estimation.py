@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.evaluation.slide_estimation import CodedSlides, estimate_slides, split_by_slip
+from jaxunshear.evaluation.probes import CodedSlides, estimate_slides, split_by_slip
 
 RNG = np.random.default_rng(0)
 COUNTS = dict(zip(SPLITS, (1500, 600, 900), strict=True))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.metrics.independence import PERMUTATIONS, compute_hsic
+from jaxunshear.metrics.disentanglement import PERMUTATIONS, compute_hsic
 
 RNG = np.random.default_rng(0)
 

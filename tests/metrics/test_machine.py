@@ -3,8 +3,8 @@
 import json
 import platform
 
-from jaxunshear.metrics.machine import describe_machine, list_versions
 from jaxunshear.results.measurement import Machine
+from jaxunshear.results.provenance import describe_machine, list_versions
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.serialization import to_builtins
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.metrics.pin_error import match_pins, measure_pin_error
+from jaxunshear.metrics.errors import match_pins, measure_pin_error
 from jaxunshear.perception.pin_detection import find_pins
 
 

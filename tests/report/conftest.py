@@ -10,8 +10,8 @@ import pytest
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.evaluation.contact_scores import ContactScores
+from jaxunshear.evaluation.evaluate import encode_montage
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
-from jaxunshear.evaluation.score_files import encode_montage
 from jaxunshear.evaluation.simulated_evaluation import build_simulated_results
 from jaxunshear.serialization import to_builtins
 

@@ -7,7 +7,7 @@ import pytest
 from jaxunshear.errors import Note
 from jaxunshear.files import add_checksum, write_json
 from jaxunshear.report.history import read_history
-from jaxunshear.results.times import read_times
+from jaxunshear.results.record_files import read_times
 
 
 def test_a_damaged_line_is_left_out_with_a_note(tmp_path):

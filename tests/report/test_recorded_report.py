@@ -11,15 +11,15 @@ import pytest
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.targets import make_label_targets
 from jaxunshear.evaluation.contact_scores import ContactScores
+from jaxunshear.evaluation.evaluate import encode_montage
 from jaxunshear.evaluation.measurements import round_values
-from jaxunshear.evaluation.recorded_results import build_recorded_results
-from jaxunshear.evaluation.recorded_scores import (
+from jaxunshear.evaluation.recorded_evaluation import convert_montage_labels
+from jaxunshear.evaluation.recorded_results import (
     RecordedScores,
     RecordedTest,
-    convert_montage_labels,
+    build_recorded_results,
 )
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
-from jaxunshear.evaluation.score_files import encode_montage
 from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.report.report import write_report
 from jaxunshear.results.record_files import convert_record

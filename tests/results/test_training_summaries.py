@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from jaxunshear.results.measurement import Machine, Source, TrainingSummary
+from jaxunshear.results.provenance import read_training_facts
 from jaxunshear.results.record_files import write_record
 from jaxunshear.results.run import Results
-from jaxunshear.results.training_summaries import read_training_facts
 
 NOW = Source("0.3.0", "2030-01-02", "c", True)
 EARLIER = replace(NOW, commit="b")

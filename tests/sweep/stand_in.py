@@ -172,13 +172,12 @@ def main():
         )
         print(json.dumps(to_builtins(summary)))
         return 0
-    for name, function in {
-        "code_swaps": ablate,
-        "leakage": measure_leakage,
-        "leakage_table": build_sweep_rows,
+    for name, functions in {
+        "code_swaps": [ablate],
+        "leakage": [measure_leakage, build_sweep_rows],
     }.items():
         module = sys.modules[f"jaxunshear.evaluation.{name}"] = type(sys)(name)
-        setattr(module, function.__name__, function)
+        vars(module).update({function.__name__: function for function in functions})
     worker.keep_freed_memory = lambda: None  # would import JAX
     worker.run_stages = run_stages
     worker._check_checkpoints = check_checkpoints

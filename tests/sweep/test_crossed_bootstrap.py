@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
-from jaxunshear.evaluation.bootstrap import RESAMPLES, compute_intervals
+from jaxunshear.evaluation.intervals import RESAMPLES, compute_intervals
 from jaxunshear.sweep.crossed_bootstrap import (
     compute_interval,
     describe_intervals,

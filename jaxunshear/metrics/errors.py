@@ -1,18 +1,40 @@
-"""Pin error: the distance of the pins in an image from their true positions.
-
-Similarity of images does not change if the lattice is shifted by a full pitch; the distance of
-centroids that are matched one to one does.
-"""
+"""Pose errors by target (jaxunshear/config/targets.py)."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float32, UInt8
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
+from jaxunshear.angles import wrap_degrees
 from jaxunshear.perception.pin_detection import find_pins
+
+
+def compute_pose_errors(
+    predicted: Mapping[str, np.ndarray], true: Mapping[str, np.ndarray]
+) -> dict[str, Float32[np.ndarray, "B"]]:
+    """Compute the absolute errors of `predicted`, in the order of the labels.
+
+    Angles wrap, so their errors are at most 180. Raises `ValueError` if a label is missing or
+    lengths differ.
+    """
+    unknown = [name for name in predicted if name not in true]
+    if unknown:
+        raise ValueError(f"pose quantity {unknown[0]!r} is missing")
+    errors = {}
+    for name in true:  # not of `predicted`: a compiled function sorts its outputs by name
+        if name not in predicted:
+            continue
+        a, b = np.asarray(predicted[name], np.float64), np.asarray(true[name], np.float64)
+        if a.shape != b.shape or a.ndim != 1:
+            raise ValueError(f"{name}: shapes {a.shape} and {b.shape} are not one (B,)")
+        difference = b - a
+        if name.endswith("_deg"):
+            difference = wrap_degrees(difference)
+        errors[name] = np.abs(difference).astype(np.float32)
+    return errors
 
 
 class PinMatch(NamedTuple):
