@@ -129,8 +129,6 @@ def _load_network(folder: Path) -> tuple[UnshearNet, Variables]:
 def _score_test_split(
     net: UnshearNet, variables: Variables, pairs: Reader
 ) -> dict[str, np.ndarray]:
-    """Score all cells on all contacts of the test split: (N,) by name."""
-
     @jax.jit
     def run(tap: Array, sheared: Array, other: Array) -> dict[str, Array]:
         tap, sheared, other = IMAGES.scale(tap), IMAGES.scale(sheared), IMAGES.scale(other)

@@ -71,6 +71,27 @@ def compute_intervals(
     return {name: compute_interval(means) for name, means in resampled.items()}
 
 
+def compute_recovery(
+    unsheared: float | None, sheared: float | None, tap: float | None
+) -> float | None:
+    """Compute the part of a slide's damage that is undone; None if it does no damage."""
+    if sheared is None or unsheared is None or tap is None or sheared <= tap:
+        return None
+    return (sheared - unsheared) / (sheared - tap)
+
+
+def compute_recovery_interval(
+    unsheared: np.ndarray, sheared: np.ndarray, tap: np.ndarray
+) -> list[float] | None:
+    """Compute the interval of the recovery from resampled errors (RESAMPLES,).
+
+    None if the slide does no damage in one of the resamples, as the recovery then has no bounds.
+    """
+    if np.any(sheared <= tap):
+        return None
+    return compute_interval((sheared - unsheared) / (sheared - tap))
+
+
 def compute_half_widths(errors: Mapping[str, np.ndarray]) -> ByKind:
     """Compute half-widths from absolute errors (N,), mm or deg, by `pose/<kind>/<target>`."""
     widths: ByKind = {}

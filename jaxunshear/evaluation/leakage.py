@@ -228,7 +228,6 @@ def _join_codes(split: ProbeSplit) -> CodedSlides:
 
 
 def _bootstrap_r2(estimates: Sequence[Estimate], poses: np.ndarray) -> list[float]:
-    """Compute the 95 % interval of the mean R2 over resampled poses."""
     resampled = []
     for estimate in estimates:
         values = {"squares": estimate.squares, "scatter": estimate.scatter}
@@ -332,7 +331,6 @@ def _format_with_interval(row: Json, name: str) -> str:
 
 
 def _list_exchange_rows(results: Json) -> list[Json]:
-    """List errors of exchanged codes, overall and by slip."""
     errors = results["exchanged"]
     if not errors:
         return []

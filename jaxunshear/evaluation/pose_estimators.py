@@ -178,7 +178,6 @@ def estimate_poses(name: str, estimator: RidgeEstimator, outputs: Outputs) -> di
 
 
 def _select_kinds(inputs: Container[str]) -> list[str]:
-    """Select the kinds of contacts that estimators are given."""
     return [kind for kind in ("tap", "sheared", *UNSHEARING) if kind in inputs]
 
 

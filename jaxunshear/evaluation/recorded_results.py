@@ -184,7 +184,6 @@ def _describe_recordings(experiment: Experiment, stored: RecordedSet) -> Recordi
 
 
 def _describe_pairing(stored: RecordedSet, test: RecordedTest, targets: Targets) -> Pairing:
-    """Describe how slides are paired, and how far the partners' poses are from theirs."""
     slides = test.slides
     if slides is None or not test.paired:
         return Pairing("none", {})
@@ -202,8 +201,6 @@ def _describe_pairing(stored: RecordedSet, test: RecordedTest, targets: Targets)
 
 
 def _count_contacts(stored: RecordedSet, scores: RecordedScores, test: RecordedTest) -> Counts:
-    """Count contacts by split, and those of the test that were scored and left out."""
-
     def count_test_contacts(reader: Reader | None) -> int:
         return 0 if reader is None else reader.length("test")
 

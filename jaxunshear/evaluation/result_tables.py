@@ -18,6 +18,8 @@ from jaxunshear.evaluation.intervals import (
     LEVEL,
     RESAMPLES,
     compute_interval,
+    compute_recovery,
+    compute_recovery_interval,
     resample_means,
 )
 from jaxunshear.evaluation.measurements import PAPER, round_values
@@ -166,7 +168,6 @@ def describe_similarity(size: int) -> dict[str, str | int]:
 def _tabulate_similarity(
     groups: Mapping[str, Resampled | None], compute: Callable[[Resampled, str], Figure]
 ) -> dict[str, dict[str, Figure | None]]:
-    """Tabulate a figure of the MS-SSIM by kind and group of contacts."""
     overall = groups[OVERALL]
     assert overall is not None
     table: dict[str, dict[str, Figure | None]] = {}
@@ -183,7 +184,6 @@ def _tabulate_similarity(
 def _tabulate_differences(
     overall: Resampled, compute: Callable[[Resampled, str], Figure]
 ) -> dict[str, dict[str, Figure]]:
-    """Tabulate a figure of `difference/<kind>/<quantity>` by kind and quantity."""
     table: dict[str, dict[str, Figure]] = {}
     for name in overall.scores:
         if name.startswith("difference/"):
@@ -278,14 +278,18 @@ def tabulate_poses(part: Resampled) -> PartPoses:
     ratios: dict[str, dict[str, float | None]] = {}
     recoveries: dict[str, dict[str, float | None]] = {}
     intervals: dict[str, dict[str, Span]] = {}
+
+    def compute_ratio(error: float | None, sheared: float | None) -> float | None:
+        return error / sheared if error is not None and sheared else None
+
     for kind in errors if "sheared" in errors else ():
         if kind in ("tap", "sheared"):
             continue
-        ratios[kind] = combine_kinds(_compute_ratio, errors, (kind, "sheared"))
+        ratios[kind] = combine_kinds(compute_ratio, errors, (kind, "sheared"))
         if "tap" in errors:
             kinds = (kind, "sheared", "tap")
             recoveries[kind] = combine_kinds(compute_recovery, errors, kinds)
-            intervals[kind] = combine_kinds(_compute_recovery_interval, resampled, kinds)
+            intervals[kind] = combine_kinds(compute_recovery_interval, resampled, kinds)
     return PartPoses(
         pose_mae=errors,
         pose_ratio=ratios,
@@ -305,25 +309,3 @@ def combine_kinds(
     """Compute a figure of each quantity from its values for several kinds."""
     rows = [table[kind] for kind in kinds]
     return {name: compute(*map(itemgetter(name), rows)) for name in rows[0]}
-
-
-def _compute_ratio(error: float | None, sheared: float | None) -> float | None:
-    return error / sheared if error is not None and sheared else None
-
-
-def compute_recovery(
-    unsheared: float | None, sheared: float | None, tap: float | None
-) -> float | None:
-    if sheared is None or unsheared is None or tap is None or sheared <= tap:
-        return None
-    return (sheared - unsheared) / (sheared - tap)
-
-
-def _compute_recovery_interval(unsheared: np.ndarray, sheared: np.ndarray, tap: np.ndarray) -> Span:
-    """Compute the interval of the recovery from resampled errors.
-
-    None if the slide does no damage in one of the resamples, as the recovery then has no bounds.
-    """
-    if np.any(sheared <= tap):
-        return None
-    return compute_interval((sheared - unsheared) / (sheared - tap))

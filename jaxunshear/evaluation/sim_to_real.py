@@ -41,12 +41,13 @@ from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contac
 from jaxunshear.data.recorded_probes import find_training_view
 from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.intervals import compute_recovery
 from jaxunshear.evaluation.pose_estimators import (
     PIN_PLACES,
     compute_pin_features,
     fit_to_features,
 )
-from jaxunshear.evaluation.result_tables import combine_kinds, compute_recovery, finish_results
+from jaxunshear.evaluation.result_tables import combine_kinds, finish_results
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.metrics.errors import compute_pose_errors
@@ -192,7 +193,6 @@ def _predict_all(
 
 
 def _score_networks(labels: Sequence[str], predictions: _Predictions) -> dict[str, Errors]:
-    """Compute the errors of the networks by kind of contact."""
     alignment_taps, taps, slides = predictions
 
     def align(kind: str) -> dict[str, LabelAlignment]:

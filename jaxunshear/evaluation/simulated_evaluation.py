@@ -56,7 +56,7 @@ from jaxunshear.models.modality import IMAGES, PINS, get_modality
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import track_images
 from jaxunshear.perception.rest_positions import compute_rest_lattice
-from jaxunshear.results.run import Counts, FurtherTest, ResultBar, Results, Tables
+from jaxunshear.results.run import Counts, FurtherTest, Results, Tables
 from jaxunshear.selection import select_evenly
 from jaxunshear.simulator.scene import NEAR_MM, TURN_DEG, has_one_edge
 from jaxunshear.training.examples import open_examples
@@ -219,7 +219,7 @@ def build_simulated_results(
             test_smooth=int(labels[SMOOTH].sum()) if SMOOTH in labels else None,
             pin_images=len(scores.kept_rows),
         ),
-        bars={name: ResultBar(*bar) for name, bar in BARS.items()},
+        bars=BARS,
         seeds={
             "experiment": experiment.seed,
             "paired": paired.seed,
@@ -250,7 +250,6 @@ def _build_further_tests(
 
 
 def _build_tables(settings: PairedData, contacts: ContactScores) -> Tables:
-    """Build all tables of one test."""
     scores, labels, ranges = contacts.scores, contacts.labels, settings.ranges
     pin_errors, edge_angles = {}, {}
     for name, score in scores.items():

@@ -125,7 +125,6 @@ def compute_hsic(
 
 
 def _compute_kernel(values: np.ndarray) -> np.ndarray:
-    """Compute the kernel (N, N) of N rows."""
     values = values.reshape(len(values), -1).astype(np.float64)
     squares = np.sum(values**2, axis=1)
     distances = np.maximum(squares[:, None] + squares - 2 * values @ values.T, 0)

@@ -1,4 +1,8 @@
-"""Pose errors by target (jaxunshear/config/targets.py)."""
+"""Errors of poses by target (jaxunshear/config/targets.py), and of pins in images.
+
+Similarity of images does not change if the lattice of pins is shifted by a full pitch; the distance
+of centroids that are matched one to one does.
+"""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -20,9 +24,8 @@ def compute_pose_errors(
     Angles wrap, so their errors are at most 180. Raises `ValueError` if a label is missing or
     lengths differ.
     """
-    unknown = [name for name in predicted if name not in true]
-    if unknown:
-        raise ValueError(f"pose quantity {unknown[0]!r} is missing")
+    if unknown := predicted.keys() - true.keys():
+        raise ValueError(f"pose quantity {min(unknown)!r} is missing")
     errors = {}
     for name in true:  # not of `predicted`: a compiled function sorts its outputs by name
         if name not in predicted:

@@ -8,9 +8,8 @@ from markupsafe import Markup, escape
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
 from jaxunshear.report import html
+from jaxunshear.report.application_figures import METHOD_TITLES, PICTURES
 from jaxunshear.report.html import format_number, format_with_interval
-from jaxunshear.report.object_figure import PICTURES
-from jaxunshear.report.trajectory_figure import METHOD_TITLES
 from jaxunshear.report.wording import section
 from jaxunshear.results.record_files import find_results_folder
 

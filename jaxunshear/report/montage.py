@@ -91,7 +91,6 @@ def _select_typical(images: MontageImages) -> tuple[list[int], list[int]]:
 
 
 def _make_cells(images: MontageImages, row: int, words: Wording) -> list[Cell]:
-    """Make the images of a contact, with the likenesses below them."""
     network, target = choose_main_kind(images), words.target
     sheared, unsheared, tap = images["sheared"][row], images[network][row], images["tap"][row]
     truth = "tap (truth)" if target == "tap" else target

@@ -23,7 +23,7 @@ from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json
 from jaxunshear.report import montage
-from jaxunshear.report.history import read_history
+from jaxunshear.report.training_sections import read_history
 from jaxunshear.results.record_files import read_record, read_times
 from jaxunshear.results.run import Results
 from jaxunshear.serialization import to_builtins

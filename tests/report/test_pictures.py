@@ -10,9 +10,13 @@ from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.object_reconstruction import ReconstructedObject
 from jaxunshear.downstream.reconstruct import HeightMap, ShapeScore
 from jaxunshear.downstream.servo import CLOSED
-from jaxunshear.report.geometry_figure import plot_recordings
-from jaxunshear.report.object_figure import PICTURES, plot_objects
-from jaxunshear.report.trajectory_figure import METHOD_TITLES, plot_trajectories
+from jaxunshear.report.application_figures import (
+    METHOD_TITLES,
+    PICTURES,
+    plot_objects,
+    plot_recordings,
+    plot_trajectories,
+)
 from jaxunshear.simulator.stimuli import STIMULI
 
 PAGE_PX = 1158  # of a picture, at most

@@ -12,14 +12,14 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.sweep import engines
+from jaxunshear.sweep.run import make_ray_engine
 from jaxunshear.sweep.summary import select_reproducible
 
 
 def test_without_ray_it_says_how_to_get_it(absent):
     absent("ray")
     with pytest.raises(UserError, match=r"--engine ray needs Ray: pip install .*\[ray\]"):
-        engines.make_ray_engine(None, 1)
+        make_ray_engine(None, 1)
 
 
 def test_a_cluster_that_is_not_there_is_one_line_at_once():
@@ -28,7 +28,7 @@ def test_a_cluster_that_is_not_there_is_one_line_at_once():
         with pytest.raises(
             UserError, match=f"--ray-address {address}: no cluster answers there"
         ) as refusal:
-            engines.make_ray_engine(address, 1)
+            make_ray_engine(address, 1)
         assert "\n" not in str(refusal.value)
 
 

@@ -25,8 +25,7 @@ from jaxunshear.results.sweep import SweepResult
 from jaxunshear.serialization import to_builtins
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.grid import list_cells, list_rows
-from jaxunshear.sweep.summary import select_reproducible
-from jaxunshear.sweep.summary_table import format_table
+from jaxunshear.sweep.summary import format_table, select_reproducible
 from jaxunshear.sweep.tasks import LOCK, TASK
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "jaxunshear" / "weights"

@@ -11,17 +11,16 @@ from jaxunshear.config.sweep import Sweep
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import Failure, Figure, Outcome, SweepResult
 from jaxunshear.serialization import to_builtins
-from jaxunshear.sweep.crossed_bootstrap import compute_interval
 from jaxunshear.sweep.grid import find_reference, list_cells
-from jaxunshear.sweep.scores import RowScores
+from jaxunshear.sweep.scores import RowScores, compute_interval
 from jaxunshear.sweep.summary import (
     compute_differences,
     compute_metrics,
+    format_table,
     select_reproducible,
     summarise,
     summarise_code_swaps,
 )
-from jaxunshear.sweep.summary_table import format_table
 
 SWEEP = Sweep(
     name="small",

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm, t
 
 from jaxunshear.evaluation.intervals import RESAMPLES, compute_intervals
-from jaxunshear.sweep.crossed_bootstrap import (
+from jaxunshear.sweep.scores import (
     compute_interval,
     describe_intervals,
     draw_counts,

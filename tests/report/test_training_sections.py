@@ -6,7 +6,7 @@ import pytest
 
 from jaxunshear.errors import Note
 from jaxunshear.files import add_checksum, write_json
-from jaxunshear.report.history import read_history
+from jaxunshear.report.training_sections import read_history
 from jaxunshear.results.record_files import read_times
 
 

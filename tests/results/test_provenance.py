@@ -1,13 +1,16 @@
 """With which code networks were trained, as far as they say so."""
 
+import json
+import platform
 from dataclasses import replace
 
 import pytest
 
 from jaxunshear.results.measurement import Machine, Source, TrainingSummary
-from jaxunshear.results.provenance import read_training_facts
-from jaxunshear.results.record_files import write_record
+from jaxunshear.results.provenance import describe_machine, list_versions, read_training_facts
+from jaxunshear.results.record_files import convert_record, write_record
 from jaxunshear.results.run import Results
+from jaxunshear.serialization import to_builtins
 
 NOW = Source("0.3.0", "2030-01-02", "c", True)
 EARLIER = replace(NOW, commit="b")
@@ -45,3 +48,21 @@ def test_what_trainings_say_is_read(tmp_path):
 )
 def test_code_is_known_of_all_or_not_at_all(held, expected):
     assert replace(EMPTY, **held).sources == expected
+
+
+def test_machine_is_plain_and_says_something():
+    found = describe_machine()
+    assert found.cores >= 1
+    assert found.processor
+    assert found.device.count(":") >= 1
+    assert (
+        convert_record(json.loads(json.dumps(to_builtins(found))), Machine, "it", "again") == found
+    )
+
+
+def test_versions_name_python_and_jax():
+    import jax
+
+    found = list_versions()
+    assert found["python"] == platform.python_version()
+    assert found["jax"] == jax.__version__
