@@ -44,21 +44,16 @@ def cell(point, mean: float | None) -> dict:
 def summary(axes: int, failing: bool = True) -> dict:
     """Cells 0, 1, 2, ... over a grid, the last one failed; and a row beside it."""
     values = (["0.0", "0.1", "1.0"], ["8:120", "64:64"])[:axes]
-    cells = [
-        cell(list(point), float(number)) for number, point in enumerate(itertools.product(*values))
-    ]
+    points = enumerate(itertools.product(*values))
+    cells = [cell(list(point), float(number)) for number, point in points]
     if failing:
         cells[-1] = cell(cells[-1]["point"], None)
-    return {
-        "sweep": "small",
-        "reference": None,
-        "seeds": [0, 1],
-        "axes": [
-            {"name": f"axis {number}", "fields": [], "values": value}
-            for number, value in enumerate(values)
-        ],
-        "cells": [*cells, cell(None, 77.0)],
-    }
+    cells.append(cell(None, 77.0))
+    grid = []
+    for number, value in enumerate(values):
+        grid.append({"name": f"axis {number}", "fields": [], "values": value})
+    made = {"sweep": "small", "reference": None, "seeds": [0, 1]}
+    return made | {"axes": grid, "cells": cells}
 
 
 def record(made):
@@ -102,10 +97,8 @@ def list_summary(settings, seeds=("0", "1")):
         metrics = {}
         for name, (_, more) in ERRORS.items():
             metrics[name] = {"mean": 1 - error if more else error, "interval": None}
-        cost = {
-            "train_seconds": {"disentangled": seconds},
-            "ms_per_image": {"disentangled": {"median": ms, "p95": ms}},
-        }
+        cost = {"train_seconds": {"disentangled": seconds}}
+        cost |= {"ms_per_image": {"disentangled": {"median": ms, "p95": ms}}}
         cell = {"label": label, "point": None, "settings": {"unshear.size": label}}
         cell |= {"metric": {"ms_ssim": "ms_ssim@4"}, "metrics": metrics}
         cells.append(cell | {"costs": {seed: deepcopy(cost) for seed in seeds}})
@@ -152,19 +145,17 @@ def test_a_reference_without_figures_stops_nothing(reference):
     found["cells"][0] |= {"metrics": {}, "metric": {}}
     assert list_efficient(record(found))[LIKENESS]["train_seconds"] == ["middling"]
     found["cells"][1] |= {"metrics": {}, "metric": {}}
-    assert (
-        set(list_efficient(record(found))) == set(ERRORS) and plot_frontier(record(found)) is None
-    )
+    assert set(list_efficient(record(found))) == set(ERRORS)
+    assert plot_frontier(record(found)) is None
 
 
 def test_a_taught_network_took_the_time_of_its_teacher_too():
     found = list_summary(FOUR[:2])
-    before = collect_points(record(found), LIKENESS, "train_seconds")[1]
+    before = collect_points(record(found), LIKENESS, "train_seconds").cost
     for costs in found["cells"][1]["costs"].values():
         costs["train_seconds"]["posenet_teacher"] = 30.0
-    np.testing.assert_allclose(
-        collect_points(record(found), LIKENESS, "train_seconds")[1] - before, [0, 30]
-    )
+    after = collect_points(record(found), LIKENESS, "train_seconds").cost
+    np.testing.assert_allclose(after - before, [0, 30])
 
 
 def test_likeness_of_other_scales_is_not_compared():
@@ -204,9 +195,8 @@ def test_what_is_not_ranked_is_drawn_hollow_and_not_joined():
     labels = {label: label for label, *_ in FOUR}
     plot_panel(axes, record(made), EDGE, "train_seconds", labels)
     assert axes.lines[0].get_xdata().tolist() == [10, 100]
-    colours = {
-        text.get_text(): to_hex(text.get_bbox_patch().get_facecolor()) for text in axes.texts
-    }
+    patches = {text.get_text(): text.get_bbox_patch() for text in axes.texts}
+    colours = {label: to_hex(patch.get_facecolor()) for label, patch in patches.items()}
     assert colours["large"] == "#ffffff" and len(colours) == 4
     assert "#ffffff" not in [colours[label] for label in ("small", "middling", "wasteful")]
 
