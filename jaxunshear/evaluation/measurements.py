@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from jaxunshear.config.registry import DISENTANGLED, ENTANGLED
-from jaxunshear.files import Json
 from jaxunshear.results.measurement import Measured, Measurement
 from jaxunshear.results.run import CodeSwapScore, ResultBar, Results, Tables
-from jaxunshear.serialization import to_builtins
 
 BARS = {  # that the demo should clear, on held-out poses
     "ms_ssim.disentangled.overall": ResultBar(">=", 0.90),
@@ -84,15 +82,6 @@ def _build_test_rows(
                     unit = _find_unit(name, column)
                     rows.append(_make_row(f"{prefix}{name}.{kind}.{column}", value, unit, metric))
     return rows
-
-
-def select_reproducible(results: Results) -> Json:
-    """Select what the same experiment on the same machine gives bit for bit.
-
-    That is all but times and places.
-    """
-    places = ("time_s", "ms_per_image", "machine", "trained_on", "source", "trained_by", "command")
-    return {name: value for name, value in to_builtins(results).items() if name not in places}
 
 
 def _make_row(name: str, value: float | None, unit: str, metric: str) -> Measurement:

@@ -221,13 +221,8 @@ def _score_split(
 ) -> ContactScores | None:
     """Score the contacts of a split that networks can be given; None if there are none.
 
-    Args:
-        scorer: The networks.
-        modality: What these take.
-        reader: Of slides or of taps.
-        split: The split.
-        paired: Whether slides have partners; a slide without one, and a tap, stand for both
-            contacts of a pair. None for taps.
+    `paired` says whether slides have partners, and is None for taps. A slide without partner, and a
+    tap, stand for both contacts of a pair.
     """
     sources: dict[
         str, str

@@ -80,16 +80,11 @@ def build_tables(
 ) -> Tables:
     """Build the tables of a test, with their 95 % intervals under `spread`.
 
-    A stimulus without test contacts is None. `pose_ratio` is the error over that on sheared images;
-    `pose_recovery` is the part of the slide's damage undone, (sheared - unsheared) / (sheared -
-    tap), None if the slide does no damage; `difference` is disentangled less another network,
-    contact by contact. `readers` are the errors of pose estimators other than PoseNet, and
-    `reader_images` the number of images that they come from.
-
-    Args:
-        contacts: The contacts, or none with a score if there are taps alone.
-        stimuli: Names, indexed by the label `stimulus`.
-        taps: Further taps, which join the tables of poses.
+    `stimuli` are names, indexed by the label `stimulus`; one without test contacts is None. `taps`
+    join the tables of poses. `pose_ratio` is the error over that on sheared images; `pose_recovery`
+    is None if the slide does no damage; `difference` is disentangled less another network, contact
+    by contact. `readers` are the errors of pose estimators other than PoseNet, and `reader_images`
+    the number of images that they come from.
     """
     scores, poses, stimulus = contacts.scores, contacts.poses, contacts.labels["stimulus"]
     parts = {name: resample(scores, poses, stimulus == index) for index, name in enumerate(stimuli)}

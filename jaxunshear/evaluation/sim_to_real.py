@@ -6,11 +6,10 @@
 The labels are of taps on a straight edge. What a network predicts of them, edge distance, edge
 angle and depth, has an offset and a sign of its own. Half of the recorded taps, drawn at random,
 align predictions with labels by these two. The other half is scored, and every slide; nothing is
-fitted to slides. Unsheared slides have an
-alignment of their own, by unsheared taps, because the network moves all real taps a little and
-alike. With the alignment of taps as recorded, unsheared slides are scored once more
-(`UNSHEARED_RAW_OFFSET`). For networks over pins, the rest positions are the mean over some of the
-contacts themselves: of taps for taps, of slides for slides.
+fitted to slides. Unsheared slides have an alignment of their own, by unsheared taps, because the
+network moves all real taps a little and alike. With the alignment of taps as recorded, unsheared
+slides are scored once more (`UNSHEARED_RAW_OFFSET`). For networks over pins, the rest positions are
+the mean over some of the contacts themselves: of taps for taps, of slides for slides.
 
 Networks over pins are also evaluated by kernel ridge regression, which learns the pose from the
 pins of those same taps. It has nothing in common with the networks or with their simulator.

@@ -186,11 +186,7 @@ def build_simulated_results(
 ) -> Results:
     """Build the results that follow from the scores; the same scores give the same bits.
 
-    Args:
-        experiment: The run's.
-        scores: Of the main test.
-        further: Scores of further tests, by name.
-        followed: What detection gave of the pins of further tests, by name.
+    By name of further tests, `further` are their scores, `followed` what detection gave of pins.
     """
     paired, pose = experiment.paired.get_simulated("this"), cast(PoseData, experiment.pose)
     size, images, labels = paired.preprocess.size, len(scores.kept_rows), scores.labels

@@ -95,13 +95,8 @@ def measure_pin_errors(
     matches itself again except at its rim, so the error needs the numbers of missed and extra pins.
     `true_slide` is the distance of the true pins of slides and taps. A mm is one at the height of
     the apex pin: pins of the rim, nearer to the camera, move by less (`tactip331-fitted`: by a
-    tenth less).
-
-    Args:
-        images: (N, S, S) uint8 by kind.
-        tap_pins: (N, P, 2) true (column, row), px.
-        sheared_pins: (N, P, 2) likewise.
-        mm_per_px: None if unknown; errors in mm are then None, too.
+    tenth less). Images (N, S, S) uint8 are by kind, true pins (N, P, 2) are (column, row), px.
+    Without `mm_per_px` errors in mm are None.
     """
     pitches = [cKDTree(points).query(points, k=2)[0][:, 1] for points in tap_pins]
     limit = 0.5 * float(np.median(pitches))

@@ -103,17 +103,6 @@ def _select_done(
     return {seed: row for seed, row in rows.items() if row.outcome.status == "done"}
 
 
-def select_reproducible(summary: SweepResult) -> SweepResult:
-    """Select what the same sweep on the same machine repeats bit for bit.
-
-    Times, memory and places are left out.
-    """
-    cells = [replace(cell, costs={}) for cell in summary.cells]
-    return replace(
-        summary, cells=cells, command="", machines=(), trained_on=(), sources=(), efficient={}
-    )
-
-
 def _summarise_cell(
     cell: Cell, rows: Rows, outcomes: Mapping[int, Outcome], reference: Rows
 ) -> CellResult:
@@ -332,8 +321,7 @@ def select_main_metrics(summary: SweepResult) -> list[str]:
 def _format_figure(figure: Figure | None) -> str:
     if figure is None or figure.interval is None:
         return "-"
-    low, high = figure.interval
-    return f"{figure.mean:.3g} [{low:.3g}, {high:.3g}]"
+    return "{:.3g} [{:.3g}, {:.3g}]".format(figure.mean, *figure.interval)
 
 
 def _format_costs(cell: CellResult) -> list[str]:

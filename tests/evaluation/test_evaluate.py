@@ -11,10 +11,11 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import make_range_targets, read_true_values
 from jaxunshear.evaluation.contact_scores import BATCH, FIELDS, Scorer, TestSet, score_test
 from jaxunshear.evaluation.evaluate import encode_montage, encode_scores
-from jaxunshear.evaluation.measurements import build_measurements, select_reproducible
+from jaxunshear.evaluation.measurements import build_measurements
 from jaxunshear.evaluation.score import CELLS, Outputs, compute_chance_errors, score_images
 from jaxunshear.evaluation.simulated_evaluation import build_simulated_results, mark_smooth
 from jaxunshear.models.modality import IMAGES
+from tests.helpers.reproducible import select_results
 
 SIZE, PITCH = 128, 8
 TARGETS = make_range_targets((), Ranges())
@@ -137,7 +138,7 @@ def test_what_is_measured_is_named(results):
 
 def test_results_are_the_same_bits_again_and_go_into_json(gathered, results):
     again = build_simulated_results(Experiment(name="made up", claim="none"), gathered)
-    assert json.dumps(select_reproducible(again)) == json.dumps(select_reproducible(results))
+    assert json.dumps(select_results(again)) == json.dumps(select_results(results))
 
 
 def test_networks_are_compared_contact_by_contact(gathered, results):

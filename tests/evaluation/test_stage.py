@@ -19,12 +19,12 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation import simulated_evaluation
 from jaxunshear.evaluation.contact_scores import QUALITY
 from jaxunshear.evaluation.evaluate import evaluate
-from jaxunshear.evaluation.measurements import select_reproducible
 from jaxunshear.evaluation.score import BASELINES
 from jaxunshear.files import read_json, write_json
 from jaxunshear.results.record_files import SCHEMA, read_record
 from jaxunshear.results.run import Results
 from jaxunshear.serialization import to_builtins
+from tests.helpers.reproducible import select_results
 
 SIZE, COUNT = 32, 6
 
@@ -123,7 +123,7 @@ def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment,
         assert getattr(results, name), name
     montage = (run_dir / "montage.npz").read_bytes()
     again = evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
-    assert select_reproducible(again) == select_reproducible(results)
+    assert select_results(again) == select_results(results)
     assert list(results.ms_ssim) == ["sheared", *BASELINES, "entangled", "disentangled"]
     assert (run_dir / "montage.npz").read_bytes() == montage
 

@@ -13,7 +13,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.sweep.run import make_ray_engine
-from jaxunshear.sweep.summary import select_reproducible
+from tests.helpers.reproducible import select_sweep
 
 
 def test_without_ray_it_says_how_to_get_it(absent):
@@ -57,7 +57,7 @@ def test_workers_that_are_killed_change_nothing(stand_in, tmp_path):
     out, _ = process.communicate(timeout=300)
     assert process.returncode == 0 and len(killed) == 2
     found = convert_record(json.loads(out.splitlines()[-1]), SweepResult, "it", "again")
-    assert select_reproducible(found) == select_reproducible(
+    assert select_sweep(found) == select_sweep(
         convert_record(json.loads(serial.stdout), SweepResult, "it", "again")
     )
     lines = (tmp_path / "ray" / "data" / "steps.txt").read_text().splitlines()

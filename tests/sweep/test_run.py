@@ -26,8 +26,9 @@ from jaxunshear.results.sweep import SweepResult
 from jaxunshear.serialization import to_builtins
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.grid import list_cells, list_rows
-from jaxunshear.sweep.summary import format_table, select_reproducible
+from jaxunshear.sweep.summary import format_table
 from jaxunshear.sweep.tasks import LOCK, TASK
+from tests.helpers.reproducible import select_sweep
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "jaxunshear" / "weights"
 PATCHES = (("train.losses.patch", (0.0, 0.1)),)
@@ -276,7 +277,7 @@ def test_a_deleted_shared_training_is_made_again(stand_in, swept, tmp_path):
     folder = tmp_path / "small"
     for path in [*(folder / "rows").iterdir(), *(folder / "shared").glob("*/posenet")]:
         shutil.rmtree(path)
-    assert select_reproducible(swept(sweep)) == select_reproducible(first)
+    assert select_sweep(swept(sweep)) == select_sweep(first)
 
 
 def test_two_sweeps_in_one_folder_are_refused(stand_in, swept, tmp_path):
@@ -389,7 +390,7 @@ def test_killed_again_and_again_it_ends_with_the_same_table(stand_in, tmp_path, 
     ended = []
     for text in (killed, entire):
         record = convert_record(json.loads(text), SweepResult, "its output", "again")
-        ended.append(select_reproducible(record))
+        ended.append(select_sweep(record))
     assert ended[0] == ended[1]
     pictures = [tmp_path / name / "small" / "sweep.png" for name in ("killed", "full")]
     assert pictures[0].read_bytes() == pictures[1].read_bytes()

@@ -11,7 +11,7 @@ import pytest
 
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.sweep.summary import select_reproducible
+from tests.helpers.reproducible import select_sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = f"""
@@ -70,4 +70,4 @@ def test_killed_at_any_time_it_ends_with_the_same_table(tmp_path):
             kills += 1
     assert start(tmp_path / "killed").wait() == 0
     assert kills >= 2
-    assert select_reproducible(summary(tmp_path / "killed")) == select_reproducible(full)
+    assert select_sweep(summary(tmp_path / "killed")) == select_sweep(full)
