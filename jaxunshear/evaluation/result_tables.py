@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -95,6 +95,7 @@ def build_tables(
         tested_poses = Resampled({**scores, **taps.scores}, {**overall.means, **means})
     pose_table = tabulate_poses(tested_poses)
     groups = {**parts, OVERALL: overall}
+    differences = _group_names(scores, "difference")
     readers = _tabulate_estimators([contacts] if taps is None else [taps, contacts])
     return Tables(
         ms_ssim=_tabulate_similarity(groups, Resampled.compute_mean),
@@ -104,7 +105,7 @@ def build_tables(
         pose_by_stimulus={
             name: None if part is None else tabulate_poses(part) for name, part in parts.items()
         },
-        difference=_tabulate_differences(overall, Resampled.compute_mean),
+        difference=_map_names(differences, overall.compute_mean),
         swap=_tabulate_swaps(overall),
         readers=readers.means,
         reader_images=readers.counts,
@@ -117,7 +118,7 @@ def build_tables(
             ms_ssim=_tabulate_similarity(groups, Resampled.compute_interval),
             pose_mae=pose_table.spread.pose_mae,
             pose_recovery=pose_table.spread.pose_recovery,
-            difference=_tabulate_differences(overall, Resampled.compute_interval),
+            difference=_map_names(differences, overall.compute_interval),
             readers=readers.intervals,
         ),
     )
@@ -173,17 +174,6 @@ def _tabulate_similarity(
                 group: None if part is None else compute(part, name)
                 for group, part in groups.items()
             }
-    return table
-
-
-def _tabulate_differences(
-    overall: Resampled, compute: Callable[[Resampled, str], Figure]
-) -> dict[str, dict[str, Figure]]:
-    table: dict[str, dict[str, Figure]] = {}
-    for name in overall.scores:
-        if name.startswith("difference/"):
-            _, kind, quantity = name.split("/")
-            table.setdefault(kind, {})[quantity] = compute(overall, name)
     return table
 
 
@@ -261,15 +251,10 @@ def tabulate_part(
 
 def tabulate_poses(part: Resampled) -> PartPoses:
     """Tabulate pose errors, their ratios and recoveries, with intervals."""
-    errors: dict[str, dict[str, float | None]] = {}
-    resampled: dict[str, dict[str, np.ndarray]] = {}
-    for kind in list_pose_kinds():
-        prefix = f"pose/{kind}/"
-        for name in part.scores:
-            if name.startswith(prefix):
-                quantity = name.removeprefix(prefix)
-                errors.setdefault(kind, {})[quantity] = part.compute_mean(name)
-                resampled.setdefault(kind, {})[quantity] = part.means[name]
+    names = _group_names(part.scores, "pose")
+    names = {kind: names[kind] for kind in list_pose_kinds() if kind in names}
+    errors = _map_names(names, part.compute_mean)
+    resampled = _map_names(names, part.means.__getitem__)
     ratios: dict[str, dict[str, float | None]] = {}
     recoveries: dict[str, dict[str, float | None]] = {}
     intervals: dict[str, dict[str, Span]] = {}
@@ -290,12 +275,28 @@ def tabulate_poses(part: Resampled) -> PartPoses:
         pose_ratio=ratios,
         pose_recovery=recoveries,
         spread=PoseSpread(
-            pose_mae={
-                kind: combine_kinds(compute_interval, resampled, (kind,)) for kind in resampled
-            },
-            pose_recovery=intervals,
+            pose_mae=_map_names(names, part.compute_interval), pose_recovery=intervals
         ),
     )
+
+
+def _group_names(scores: Iterable[str], table: str) -> dict[str, dict[str, str]]:
+    """Group the names `<table>/<kind>/<quantity>` of scores by kind and quantity."""
+    names: dict[str, dict[str, str]] = {}
+    for name in scores:
+        if name.startswith(f"{table}/"):
+            _, kind, quantity = name.split("/")
+            names.setdefault(kind, {})[quantity] = name
+    return names
+
+
+def _map_names(
+    names: Mapping[str, Mapping[str, str]], compute: Callable[[str], Figure]
+) -> dict[str, dict[str, Figure]]:
+    table = {}
+    for kind, quantities in names.items():
+        table[kind] = {quantity: compute(name) for quantity, name in quantities.items()}
+    return table
 
 
 def combine_kinds(
