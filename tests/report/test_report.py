@@ -51,9 +51,9 @@ def test_the_page_is_full_and_needs_nothing_else(page, read):
             ElementTree.fromstring(base64.b64decode(data))
 
 
-def test_the_figures_of_the_results_are_on_it(page, read):
+def test_the_figures_of_the_results_are_on_it(page, read_page):
     results = json.loads((page.parent / "results.json").read_text())
-    text = " ".join(read(page.read_text()).text)
+    text = read_page(page)
     for kind, group in (("disentangled", "overall"), ("sheared", "disk")):
         assert f"{results['ms_ssim'][kind][group]:.3f}" in text
     assert f"{results['pose_mae']['disentangled']['edge_mm']:.2f} mm" in text

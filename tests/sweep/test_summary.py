@@ -224,20 +224,14 @@ def test_a_failure_is_reported_with_its_reason_and_the_other_seed_counts(summary
     assert list(cell.costs) == ["0"] and cell.costs["0"].peak_memory_bytes == 2**30
 
 
-def test_nothing_done_is_a_summary_too():
-    cells = list_cells(SWEEP)
-    rows = {(cell.label, seed): failed("no") for cell in cells for seed in (0, 1)}
-    found = summarise(SWEEP, cells, rows, find_reference(SWEEP, cells))
-    assert all(cell.metrics == cell.difference == cell.ablation == {} for cell in found.cells)
-    assert format_table(found).count("failed: ") == 6
-
-
-def test_nothing_done_without_a_grid_is_a_summary_too():
-    sweep = replace(SWEEP, grid=(), rows=((), (("train.epochs", 2),)))
+@pytest.mark.parametrize("rows", [(), ((), (("train.epochs", 2),))])
+def test_nothing_done_is_a_summary_too(rows):
+    sweep = replace(SWEEP, grid=(), rows=rows) if rows else SWEEP
     cells = list_cells(sweep)
-    rows = {(cell.label, seed): failed("no") for cell in cells for seed in (0, 1)}
-    found = summarise(sweep, cells, rows, find_reference(sweep, cells))
-    assert [cell.metrics for cell in found.cells] == [{}, {}] and "failed: " in format_table(found)
+    nothing = {(cell.label, seed): failed("no") for cell in cells for seed in (0, 1)}
+    found = summarise(sweep, cells, nothing, find_reference(sweep, cells))
+    assert all(cell.metrics == cell.difference == cell.ablation == {} for cell in found.cells)
+    assert format_table(found).count("failed: ") == 2 * len(cells)
 
 
 def test_it_is_json(summary):
@@ -267,9 +261,7 @@ def test_the_table_shows_figures_reference_and_failures(summary):
     low, high = compute_interval(np.stack([random(0), random(1)]), GROUPS)
     assert f"[{low:.3g}, {high:.3g}]" in lines[1]
     assert "*" not in format_table(replace(summary, reference=None)).splitlines()[2]
-
-
-def test_nothing_failed_is_nothing_to_try_again(summary):
+    # nothing failed is nothing to try again
     assert "--retry-failed" not in format_table(replace(summary, cells=summary.cells[:2]))
 
 
