@@ -5,7 +5,7 @@ code of another, and compared with the simulated contact of just that pose and t
 needs a data set whose poses share slides.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +20,6 @@ from jaxunshear.data.factorial import FactorialReader
 from jaxunshear.data.reader import Reader
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.intervals import compute_interval, number_poses, resample_means
-from jaxunshear.evaluation.probes import split_by_slip
 from jaxunshear.files import Json
 from jaxunshear.models import registry
 from jaxunshear.models.weights import Net, Variables
@@ -30,6 +29,7 @@ from jaxunshear.training.trained_network import load_network
 
 BATCH = 64
 MAX_SLIDES = 2000  # evenly chosen
+MIN_SLIP_SHARE = 0.99  # share of the touching skin that slips in a slide that counts as slipped
 SEED = 0
 EXCHANGED, OWN = "exchanged", "both of its own"
 SHEAR_CODE_KEPT = "shear code not exchanged"
@@ -90,6 +90,19 @@ class ExchangedCodes(NamedTuple):
 
     decoded: np.ndarray
     true: np.ndarray
+
+
+def split_by_slip(contact_state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Say (N,) which slides still stick somewhere, and which slip everywhere.
+
+    `contact_state` has the numbers of nodes that are `stuck` and `slipping`; nothing is known of
+    recorded slides, which lack both.
+    """
+    if "stuck" not in contact_state:
+        return {}
+    stuck, slipping = contact_state["stuck"], contact_state["slipping"]
+    slipped = slipping >= MIN_SLIP_SHARE * np.maximum(stuck + slipping, 1)
+    return {"sticking": ~slipped, "slipped": slipped}
 
 
 def exchange_codes(experiment: Experiment, run_dir: Path, data_dir: Path) -> ExchangedCodes | None:

@@ -19,13 +19,11 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.evaluation.codes import load_code_network, measure_exchange_errors
 from jaxunshear.evaluation.intervals import INTERVALS_OVER, compute_interval, resample_means
-from jaxunshear.evaluation.probe_data import ProbeSplit, Quantity, read_splits
+from jaxunshear.evaluation.probe_data import ProbeSplit, Quantity, estimate_slides, read_splits
 from jaxunshear.evaluation.probes import (
     FAMILIES,
-    CodedSlides,
     Whitening,
     compute_r2,
-    estimate_slides,
     fit_whitening,
     prepare_task,
 )
@@ -94,9 +92,7 @@ def measure_leakage(
         "independence": measure_independence(test, rows),
         "scores": _compute_standard_scores(train, test, rows),
         "exchanged": measure_exchange_errors(network, examples.reader),
-        "slide": estimate_slides(
-            {name: _join_codes(split) for name, split in splits.items()}, test.batch
-        ),
+        "slide": estimate_slides(splits),
         "slides": {"learnt": len(train.poses), "tested": len(test.poses)},
         "sizes": {code: int(test.features[code].shape[1]) for code in CODES},
         **read_training_facts(run_dir, experiment.networks),
@@ -219,12 +215,6 @@ def _make_blocks(
         np.concatenate(factors, axis=1),
         np.repeat(owners, [factor.shape[1] for factor in factors]),
     )
-
-
-def _join_codes(split: ProbeSplit) -> CodedSlides:
-    codes = np.concatenate([split.features["z_p"], split.features["z_s"]], axis=1)
-    slides = {name: values for (part, name), values in split.quantities.items() if part == "slide"}
-    return CodedSlides(codes, slides, split.poses)
 
 
 def _bootstrap_r2(estimates: Sequence[Estimate], poses: np.ndarray) -> list[float]:

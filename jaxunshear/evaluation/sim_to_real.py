@@ -41,11 +41,7 @@ from jaxunshear.data.recorded_probes import find_training_view
 from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.intervals import compute_recovery
-from jaxunshear.evaluation.pose_estimators import (
-    PIN_PLACES,
-    compute_pin_features,
-    fit_to_features,
-)
+from jaxunshear.evaluation.pose_estimators import PIN_PLACES, compute_pin_features, fit_to_features
 from jaxunshear.evaluation.result_tables import combine_kinds, finish_results
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel

@@ -6,16 +6,10 @@ import pytest
 
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.evaluation import probes
+from jaxunshear.evaluation.codes import split_by_slip
 from jaxunshear.evaluation.leakage import probe_quantity
-from jaxunshear.evaluation.probes import (
-    FAMILIES,
-    CodedSlides,
-    compute_r2,
-    estimate_slides,
-    fit_whitening,
-    prepare_task,
-    split_by_slip,
-)
+from jaxunshear.evaluation.probe_data import ProbeSplit, estimate_slides
+from jaxunshear.evaluation.probes import FAMILIES, compute_r2, fit_whitening, prepare_task
 
 COUNT, LEARNT = 1200, 800  # of the planted leak
 
@@ -122,6 +116,14 @@ RNG = np.random.default_rng(0)
 COUNTS = dict(zip(SPLITS, (1500, 600, 900), strict=True))
 
 
+def make_split(codes, slides, batch):
+    """Make slides with their pose in no code, `slides` (N, K) in x and y mm."""
+    features = {"z_p": codes[:, :0], "z_s": codes}
+    names = [("slide", f"slide_{axis}_mm") for axis in "xy"[: slides.shape[1]]]
+    quantities = {name: slides[:, [column]] for column, name in enumerate(names)}
+    return ProbeSplit(features, quantities, np.arange(len(codes)), batch)
+
+
 def test_intervals_hold_95_percent_and_widen_with_doubt():
     """The noise of the codes grows with their last number, and the doubtful slides have slipped."""
     splits = {}
@@ -129,13 +131,10 @@ def test_intervals_hold_95_percent_and_widen_with_doubt():
         slide = RNG.uniform(-2.5, 2.5, (count, 2))
         doubt = RNG.uniform(0, 1, (count, 1))
         noise = 0.05 * (1 + 9 * doubt) * RNG.normal(size=(count, 2))
-        slides = {"slide_x_mm": slide[:, :1], "slide_y_mm": slide[:, 1:]}
-        splits[name] = CodedSlides(
-            np.concatenate([slide + noise, doubt], axis=1), slides, np.arange(count)
-        )
-    slips = doubt[:, 0] > 0.5
-    rows = estimate_slides(splits, {"stuck": 1 - slips, "slipping": slips.astype(int)})
-    found = {(row["name"], row["part"]): row for row in rows}
+        slips = doubt[:, 0] > 0.5
+        state = {"stuck": 1 - slips, "slipping": slips.astype(int)}
+        splits[name] = make_split(np.concatenate([slide + noise, doubt], axis=1), slide, state)
+    found = {(row["name"], row["part"]): row for row in estimate_slides(splits)}
     for axis in "xy":
         every, sure, unsure = (
             found.pop((f"slide_{axis}_mm", part)) for part in ("all", "sticking", "slipped")
@@ -154,9 +153,9 @@ def test_intervals_hold_95_percent_and_widen_with_doubt():
 def test_what_no_code_gives_is_covered_all_the_same():
     splits = {}
     for name, count in COUNTS.items():
-        slides = {"slide_x_mm": RNG.uniform(-1, 1, (count, 1))}
-        splits[name] = CodedSlides(RNG.normal(size=(count, 3)), slides, np.arange(count))
-    (row,) = estimate_slides(splits, {})
+        slides = RNG.uniform(-1, 1, (count, 1))
+        splits[name] = make_split(RNG.normal(size=(count, 3)), slides, {})
+    (row,) = estimate_slides(splits)
     assert 0.92 < row["coverage"] < 0.98 and row["half_width"] > 0.85
     assert row["mae"] == pytest.approx(0.5, abs=0.06)
 

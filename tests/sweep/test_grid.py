@@ -12,12 +12,7 @@ from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.config.sweep import Sweep, check_sweep
 from jaxunshear.errors import UserError
 from jaxunshear.fit import BASE_EXPERIMENT as RECORDED
-from jaxunshear.sweep.grid import (
-    compute_row_digest,
-    find_reference,
-    list_cells,
-    list_rows,
-)
+from jaxunshear.sweep.grid import compute_row_digest, find_reference, list_cells, list_rows
 
 BASE = Experiment(name="plain", claim="none")
 PLAIN = Sweep(name="plain", claim="none", base=BASE)
