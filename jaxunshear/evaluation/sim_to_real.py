@@ -17,6 +17,7 @@ pins of those same taps. It has nothing in common with the networks or with thei
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
@@ -26,7 +27,6 @@ import numpy as np
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.targets import (
     MIN_VARIATION,
     RECORDED_FIELDS,
@@ -46,7 +46,7 @@ from jaxunshear.evaluation.result_tables import combine_kinds, finish_results
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.metrics.errors import compute_pose_errors
-from jaxunshear.perception.preprocess import View, prepare_frame
+from jaxunshear.perception.preprocess import prepare_frame
 from jaxunshear.progress import Progress
 from jaxunshear.results.run import Counts, Results
 
@@ -263,13 +263,19 @@ def predict_contacts(
     network: TrainedModel, contacts: RecordedContacts, title: str
 ) -> ContactPredictions:
     """Predict poses and pins of all contacts, a batch at a time."""
-    view = network.view or find_training_view(contacts, network.preprocess)
+    preprocess = network.preprocess
+    view = network.view or find_training_view(contacts, preprocess)
     count = len(contacts.files)
     batches = []
     with Progress(title, count, "frames") as progress:
         for start in range(0, count, BATCH):
             files = contacts.files[start : start + BATCH]
-            predictions = network.predict(_read_images(files, network.preprocess, view))
+            # frames that cannot be read stay black, which networks reject
+            images = np.zeros((BATCH, preprocess.size, preprocess.size), np.uint8)
+            for index, file in enumerate(files):
+                with suppress(UserError):
+                    images[index] = prepare_frame(preprocess, read_image(file), view)
+            predictions = network.predict(images)
             batches.append((predictions.poses, predictions.pins))
             progress.advance(len(files))
 
@@ -277,17 +283,6 @@ def predict_contacts(
         return np.concatenate(parts, dtype=np.float64)[:count]
 
     return ContactPredictions(contacts.pose, *jax.tree.map(join, *batches))
-
-
-def _read_images(files: Sequence[Path], preprocess: Preprocess, view: View) -> np.ndarray:
-    """Read a batch of frames; those that cannot be read stay black, which networks reject."""
-    images = np.zeros((BATCH, preprocess.size, preprocess.size), np.uint8)
-    for index, file in enumerate(files):
-        try:
-            images[index] = prepare_frame(preprocess, read_image(file), view)
-        except UserError:
-            continue
-    return images
 
 
 def choose_scored_labels(poses: dict[str, np.ndarray], labels: np.ndarray) -> tuple[str, ...]:
