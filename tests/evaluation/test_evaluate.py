@@ -9,7 +9,8 @@ import pytest
 from jaxunshear.config.data import PairedData, Ranges
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import make_range_targets, read_true_values
-from jaxunshear.evaluation.contact_scores import BATCH, FIELDS, Scorer, TestSet, score_test
+from jaxunshear.evaluation import contact_scores
+from jaxunshear.evaluation.contact_scores import BATCH, FIELDS, Scorer, score_test
 from jaxunshear.evaluation.evaluate import encode_montage, encode_scores
 from jaxunshear.evaluation.measurements import build_measurements
 from jaxunshear.evaluation.score import CELLS, Outputs, compute_chance_errors, score_images
@@ -57,7 +58,8 @@ def score(full, run, size, keep):
     count, batches = len(full["sheared"]), []
     for start in range(0, count, size):
         batches.append({name: value[start : start + size] for name, value in full.items()})
-    return score_test(Scorer(run, TARGETS), TestSet(batches, count, IMAGES.pair, keep=keep))
+    test = contact_scores.TestSet(batches, count, IMAGES.pair, keep=keep)
+    return score_test(Scorer(run, TARGETS), test)
 
 
 def oracle(full, sizes=None, step=4):
