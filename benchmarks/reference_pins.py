@@ -14,8 +14,8 @@ import numpy as np
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, cache_folder, read_npz, write_npz
-from jaxunshear.metrics.machine import list_versions
 from jaxunshear.progress import Progress
+from jaxunshear.results.provenance import list_versions
 from jaxunshear.simulator.level import Level
 from jaxunshear.simulator.scene import Scenes
 from jaxunshear.simulator.simulate import simulate

@@ -10,7 +10,7 @@ from docs.reading import (
     load_cells,
     start_table,
 )
-from jaxunshear.evaluation.code_exchange import EXCHANGED, OWN
+from jaxunshear.evaluation.codes import EXCHANGED, OWN
 from jaxunshear.results.sweep import CellResult
 
 RECORDED_TARGETS = {"y_mm": 3, "z_mm": 3, "Rz_deg": 2}

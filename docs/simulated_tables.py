@@ -16,7 +16,7 @@ from docs.reading import (
     load_result,
     start_table,
 )
-from jaxunshear.evaluation.paper_results import PAPER
+from jaxunshear.evaluation.measurements import PAPER
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.sweep import CellResult, Figure, Figures

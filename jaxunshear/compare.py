@@ -17,7 +17,7 @@ from jaxunshear.files import read_object_if_sound, write_text
 from jaxunshear.model_folders import make_distinct_names
 from jaxunshear.progress import format_duration
 from jaxunshear.report import html, wording
-from jaxunshear.report.history import RETRAIN_REMEDY
+from jaxunshear.report.training_sections import RETRAIN_REMEDY
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results

@@ -19,8 +19,8 @@ from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object, write_json
 from jaxunshear.locks import hold_lock
+from jaxunshear.results.record_files import TIMES, read_times
 from jaxunshear.results.run import Results
-from jaxunshear.results.times import TIMES, read_times
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.initial_weights import InitialWeights, list_training_digests, start_folder
 

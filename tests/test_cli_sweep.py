@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from jaxunshear.results.sweep import CellResult, Failure, SweepResult
-from jaxunshear.sweep import engines, run
+from jaxunshear.sweep import run
 
 ROOT = Path(__file__).resolve().parents[1]
 LAMBDA, TINY = (ROOT / "experiments" / name for name in ("ablations/lambda_split.py", "tiny.py"))
@@ -44,7 +44,7 @@ def test_options_and_fields_arrive(calls, command, tmp_path):
     assert answer.out.splitlines()[-1] == str(tmp_path / "lambda_split" / "sweep.json")
     ((sweep, out, data, typed, engine, retry),) = calls
     assert (sweep.seeds, sweep.base.train.epochs, len(sweep.grid)) == ((3, 4), 2.0, 2)
-    assert (out, data, engine, retry) == (tmp_path, Path("sets"), engines.run_serially, True)
+    assert (out, data, engine, retry) == (tmp_path, Path("sets"), run.run_serially, True)
     assert typed.startswith("jaxunshear sweep ") and "--retry-failed" in typed
     assert json.loads((tmp_path / "found.json").read_text())["cells"]
 
@@ -62,9 +62,7 @@ def test_a_failed_row_is_shown_and_is_exit_code_1(calls, command):
 
 def test_ray_takes_its_address_and_cores(calls, command, monkeypatch):
     asked = []
-    monkeypatch.setattr(
-        engines, "make_ray_engine", lambda *words: asked.append(words) or "an engine"
-    )
+    monkeypatch.setattr(run, "make_ray_engine", lambda *words: asked.append(words) or "an engine")
     assert command("sweep", TINY, "--engine", "ray", "--ray-address", "a:1").code == 0
     assert command("sweep", TINY, "--engine", "ray", "--ray-cores", "4").code == 0
     assert asked == [("a:1", 2), (None, 4)] and calls[0][4] == "an engine"

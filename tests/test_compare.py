@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.compare import compare_scores, compare_settings, note_obstacles, read_runs
-from jaxunshear.evaluation.score_files import encode_scores
+from jaxunshear.evaluation.evaluate import encode_scores
 from jaxunshear.files import write_json
 from jaxunshear.progress import format_duration
 from tests.report.conftest import Reader, made_up_gathered, make_run

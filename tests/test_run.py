@@ -24,12 +24,12 @@ from jaxunshear.config import configs
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.data import sources
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.measurements import select_reproducible
 from jaxunshear.files import read_json, write_json
 from jaxunshear.locks import hold_lock
 from jaxunshear.sweep import tasks
 from jaxunshear.training.checkpoint import load_best
 from tests.golden import make_runs
+from tests.helpers.reproducible import select_results
 
 ROOT = Path(__file__).resolve().parents[1]
 TINY = ROOT / "experiments" / "tiny.py"
@@ -124,14 +124,14 @@ def test_leakage_of_networks_over_images(finished, command):
 
 
 def test_a_second_run_keeps_all_work_and_all_numbers(finished):
-    before = select_reproducible(results(finished))
+    before = select_results(results(finished))
     trained = {
         path: path.stat().st_mtime_ns
         for path in (finished / "runs" / "tiny").glob("*/summary.json")
     }
     assert len(trained) == 3
     assert subprocess.run(run_command(finished), capture_output=True).returncode == 0
-    assert select_reproducible(results(finished)) == before
+    assert select_results(results(finished)) == before
     assert trained == {path: path.stat().st_mtime_ns for path in trained}
 
 
@@ -371,7 +371,7 @@ def test_killed_ten_times_ends_with_the_same_numbers(finished, tmp_path):
     last = subprocess.run(run_command(tmp_path), capture_output=True, text=True)
     assert last.returncode == 0, last.stderr
     assert kills >= 2
-    assert select_reproducible(results(tmp_path)) == select_reproducible(results(finished))
+    assert select_results(results(tmp_path)) == select_results(results(finished))
 
 
 def test_a_refusal_before_any_work_binds_nobody(tmp_path):

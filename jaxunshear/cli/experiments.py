@@ -202,15 +202,14 @@ def sweep(arguments: argparse.Namespace, command: str) -> int:
     check_sweep(sweep, str(arguments.file))
 
     from jaxunshear.results.record_files import write_record
-    from jaxunshear.sweep import engines
-    from jaxunshear.sweep.run import run_sweep
-    from jaxunshear.sweep.summary_table import format_table
+    from jaxunshear.sweep import run
+    from jaxunshear.sweep.summary import format_table
 
     check_outside(arguments.json, "--json", home=arguments.out / sweep.name)
-    engine: engines.Engine = engines.run_serially
+    engine: run.Engine = run.run_serially
     if ray_options:
-        engine = engines.make_ray_engine(*ray_options)
-    summary = run_sweep(
+        engine = run.make_ray_engine(*ray_options)
+    summary = run.run_sweep(
         sweep, arguments.out, arguments.data, command, engine, arguments.retry_failed
     )
     print(format_table(summary))

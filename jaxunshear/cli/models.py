@@ -24,7 +24,7 @@ from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.errors import UserError
 from jaxunshear.output_checks import check_new_folder, check_not_among
 from jaxunshear.protected_folders import check_outside
-from jaxunshear.results.folders import find_results_folder
+from jaxunshear.results.record_files import find_results_folder
 
 if TYPE_CHECKING:
     from jaxunshear.inference.trained_model import TrainedModel
@@ -71,9 +71,8 @@ def apply(
     Those of a finished run's networks go to its own folder, where its report finds them, unless
     --out names another. Those of a command without --out are written nowhere else.
     """
-    from jaxunshear.metrics.machine import describe_provenance
+    from jaxunshear.results.provenance import describe_provenance, read_training_facts
     from jaxunshear.results.record_files import write_record
-    from jaxunshear.results.training_summaries import read_training_facts
 
     model, given = None, vars(arguments)
     if arguments.model:
@@ -131,7 +130,7 @@ def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None")
     else:
         lattice = make_layout(get_sensor(arguments.sensor))
     found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
-    from jaxunshear.report.pin_figure import plot_pins
+    from jaxunshear.report.application_figures import plot_pins
     from jaxunshear.serialization import format_csv, to_builtins
 
     arrays = {
@@ -154,7 +153,7 @@ def geometry(arguments: argparse.Namespace, out: Path, model: "TrainedModel") ->
     from jaxunshear.data.recordings import read_recordings
     from jaxunshear.downstream.geometry_scores import estimate_recorded_heights, score_geometry
     from jaxunshear.files import write_bytes
-    from jaxunshear.report.geometry_figure import plot_contacts, plot_recordings
+    from jaxunshear.report.application_figures import plot_contacts, plot_recordings
     from jaxunshear.serialization import to_builtins
     from jaxunshear.text_table import format_text_table
 
@@ -179,7 +178,7 @@ def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> ob
     from jaxunshear.downstream.servo import ServoTask
     from jaxunshear.downstream.servo_scores import servo
     from jaxunshear.files import write_bytes
-    from jaxunshear.report.trajectory_figure import plot_trajectories
+    from jaxunshear.report.application_figures import plot_trajectories
     from jaxunshear.results.applications import TrajectoryScore, TrajectoryScores
     from jaxunshear.text_table import format_text_table
 
@@ -204,7 +203,7 @@ def reconstruct(arguments: argparse.Namespace, out: Path, model: "TrainedModel")
     from jaxunshear.downstream.object_reconstruction import reconstruct
     from jaxunshear.downstream.servo import load_trajectories
     from jaxunshear.files import write_bytes
-    from jaxunshear.report.object_figure import PICTURES, plot_objects
+    from jaxunshear.report.application_figures import PICTURES, plot_objects
     from jaxunshear.results.applications import ObjectScore, ObjectScores
     from jaxunshear.text_table import format_text_table
 

@@ -145,6 +145,6 @@ def _write_rows(file: Path | None, rows: list[Json], command: str, packages: Seq
     if file is None:
         return
     from jaxunshear.files import write_json
-    from jaxunshear.metrics.machine import describe_provenance
+    from jaxunshear.results.provenance import describe_provenance
 
     write_json(file, describe_provenance(command, *packages) | {"rows": rows})

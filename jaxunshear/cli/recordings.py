@@ -61,7 +61,7 @@ def _check_out(arguments: argparse.Namespace) -> None:
 def _write_json(file: Path | None, command: str, content: Json) -> None:
     if file is not None:
         from jaxunshear.files import write_json
-        from jaxunshear.metrics.machine import describe_provenance
+        from jaxunshear.results.provenance import describe_provenance
 
         write_json(file, describe_provenance(command) | content)
 

@@ -38,7 +38,7 @@ def release(arguments: argparse.Namespace, command: str) -> int:
 
 
 def ablate(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear.evaluation import code_exchange, code_swaps, leakage, leakage_table
+    from jaxunshear.evaluation import code_swaps, codes, leakage
     from jaxunshear.files import write_bytes, write_json
     from jaxunshear.model_folders import load_settings
 
@@ -47,9 +47,9 @@ def ablate(arguments: argparse.Namespace, command: str) -> int:
         from jaxunshear.report.leakage_figure import plot_leakage
 
         results = leakage.measure_leakage(experiment, arguments.run, arguments.data, command)
-        exchange = code_exchange.exchange_codes(experiment, arguments.run, arguments.data)
+        exchange = codes.exchange_codes(experiment, arguments.run, arguments.data)
         write_bytes(arguments.run / "leakage.png", plot_leakage(results, exchange))
-        print(leakage_table.format_table(results))
+        print(leakage.format_table(results))
         print(arguments.run / "leakage.png")
     else:
         results = code_swaps.ablate(experiment, arguments.run, arguments.data, command)

@@ -24,7 +24,7 @@ from jaxunshear.downstream.geometry import (
     make_height_estimators,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.bootstrap import compute_intervals
+from jaxunshear.evaluation.intervals import compute_intervals
 from jaxunshear.files import Json
 from jaxunshear.inference.edge_methods import Unshear, load_unshearers
 from jaxunshear.inference.trained_model import TrainedModel

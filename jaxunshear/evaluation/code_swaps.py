@@ -20,17 +20,16 @@ from jaxunshear.config.networks import UnshearNet
 from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.data.reader import Reader
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_intervals, number_poses
-from jaxunshear.evaluation.paper_results import PAPER
+from jaxunshear.evaluation.intervals import INTERVALS_OVER, compute_intervals, number_poses
+from jaxunshear.evaluation.measurements import PAPER
 from jaxunshear.evaluation.score import CELLS, concatenate_batches, get_cell_target, score_cells
 from jaxunshear.files import Json, write_json
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
-from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.models.modality import IMAGES
 from jaxunshear.models.registry import decode_canonical, decode_sheared, encode
 from jaxunshear.models.weights import Net, Variables
 from jaxunshear.progress import Progress
-from jaxunshear.results.training_summaries import read_training_facts
+from jaxunshear.results.provenance import describe_provenance, read_training_facts
 from jaxunshear.text_table import format_text_table
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.data_origin import check_origin
@@ -130,8 +129,6 @@ def _load_network(folder: Path) -> tuple[UnshearNet, Variables]:
 def _score_test_split(
     net: UnshearNet, variables: Variables, pairs: Reader
 ) -> dict[str, np.ndarray]:
-    """Score all cells on all contacts of the test split: (N,) by name."""
-
     @jax.jit
     def run(tap: Array, sheared: Array, other: Array) -> dict[str, Array]:
         tap, sheared, other = IMAGES.scale(tap), IMAGES.scale(sheared), IMAGES.scale(other)

@@ -15,7 +15,7 @@ from jax import Array
 
 from jaxunshear.config.targets import Targets, read_true_values
 from jaxunshear.data.reader import Batch
-from jaxunshear.evaluation.bootstrap import number_poses
+from jaxunshear.evaluation.intervals import number_poses
 from jaxunshear.evaluation.network_outputs import Run
 from jaxunshear.evaluation.pose_estimators import RidgeEstimator, estimate_poses
 from jaxunshear.evaluation.score import (
@@ -84,7 +84,10 @@ class Scorer(NamedTuple):
         A shorter batch is padded to BATCH contacts by its first one, so that `run` compiles once.
         """
         size = len(batch[inputs[1]])
-        padded = [_pad_batch(batch[name], max(BATCH, size)) for name in inputs]
+        padded = []
+        for name in inputs:
+            values = batch[name]
+            padded.append(np.concatenate([values, np.repeat(values[:1], max(BATCH - size, 0), 0)]))
         outputs, image_scores = self.run(*padded)
         scores = {name: np.asarray(score)[:size] for name, score in image_scores.items()}
         true = read_true_values(self.targets, batch)
@@ -108,7 +111,11 @@ def score_test(scorer: Scorer, test: TestSet) -> ContactScores:
             arrays = {
                 "scores": scores,
                 "labels": {name: np.asarray(batch[name]) for name in test.labels},
-                "images": _select_images(outputs, inside),
+                "images": {
+                    kind: to_uint8(np.asarray(image)[inside, ..., 0])
+                    for kind, image in outputs.images.items()
+                    if kind not in BASELINES
+                },
                 "pins": {name: np.asarray(batch[name])[inside] for name in PINS.pair},
             }
             for name, part in arrays.items():
@@ -120,25 +127,10 @@ def score_test(scorer: Scorer, test: TestSet) -> ContactScores:
     return ContactScores(kept_rows=kept_rows[kept_rows < start], **joined)
 
 
-def _pad_batch(values: np.ndarray, size: int) -> np.ndarray:
-    missing = size - len(values)
-    return np.concatenate([values, np.repeat(values[:1], missing, axis=0)]) if missing else values
-
-
 def _cut_poses(
     poses: Mapping[str, Mapping[str, np.ndarray | Array]], size: int
 ) -> dict[str, dict[str, np.ndarray]]:
-    """Return the poses of the first `size` contacts of a padded batch."""
     cut: dict[str, dict[str, np.ndarray]] = {}
     for kind, pose in poses.items():
         cut[kind] = {name: np.asarray(values)[:size] for name, values in pose.items()}
     return cut
-
-
-def _select_images(outputs: Outputs, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Return images (K, S, S) uint8 of some contacts, by kind, without the baselines."""
-    return {
-        kind: to_uint8(np.asarray(image)[rows, ..., 0])
-        for kind, image in outputs.images.items()
-        if kind not in BASELINES
-    }

@@ -6,29 +6,43 @@ Which contacts are tested, and what else is known of them, differs between simul
 ones: `simulated_evaluation` and `recorded_evaluation`.
 """
 
+import io
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import POSENETS
 from jaxunshear.data.sources import open_source
+from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.result_tables import finish_results
-from jaxunshear.evaluation.score_files import EvaluatedRun, write_score_files
+from jaxunshear.evaluation.score import SMOOTH, choose_main_kind
+from jaxunshear.files import write_bytes
 from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.registry import get_net_modality, predict, unshear
-from jaxunshear.results.record_files import write_record
+from jaxunshear.results.record_files import read_times, write_record
 from jaxunshear.results.run import Results
-from jaxunshear.results.times import read_times
 from jaxunshear.training.checkpoint import check_finished
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.trained_network import load_network
 
 CALLS = 40  # of each network that is timed
 WARM_UP_CALLS = 3  # not counted: the first compiles
+QUANTILES = (0.1, 0.5, 0.9)  # of the similarity of the contacts in a montage
+
+
+class EvaluatedRun(NamedTuple):
+    """The results of a run, and the scores that they come from."""
+
+    results: Results
+    scores: ContactScores | None
+    further: Mapping[str, ContactScores]  # of further tests, by name
+    montage_names: tuple[str, ...]  # names of the stimuli in the montage; none: no montage
 
 
 def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> Results:
@@ -53,7 +67,13 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         time_s=read_times(run_dir) | {"evaluate": time.perf_counter() - started},
     )
     results = finish_results(results, experiment, run_dir, command)
-    write_score_files(run_dir, evaluated)
+    if evaluated.scores is not None:
+        write_bytes(run_dir / "scores.npz", encode_scores(evaluated.scores))
+        if evaluated.montage_names:
+            montage = encode_montage(evaluated.montage_names, evaluated.scores)
+            write_bytes(run_dir / "montage.npz", montage)
+    for name, scores in evaluated.further.items():
+        write_bytes(run_dir / f"scores-{name}.npz", encode_scores(scores))
     write_record(run_dir / "results.json", results)
     return results
 
@@ -71,3 +91,54 @@ def _time_network(folder: Path) -> dict[str, float]:
         times_ms.append(1e3 * (time.perf_counter() - started))
     counted = times_ms[WARM_UP_CALLS:]
     return {"median": float(np.median(counted)), "p95": float(np.percentile(counted, 95))}
+
+
+def encode_scores(contacts: ContactScores) -> bytes:
+    """Encode all scores as npz, with the labels `stimulus`, `pose_id`, and SMOOTH if known.
+
+    All are (N,) by name.
+    """
+    names = [name for name in ("stimulus", "pose_id", SMOOTH) if name in contacts.labels]
+    return _encode_npz({**contacts.scores, **{name: contacts.labels[name] for name in names}})
+
+
+def encode_montage(names: tuple[str, ...], contacts: ContactScores) -> bytes:
+    """Encode a few contacts as npz: of each stimulus one of low, middling and high similarity.
+
+    The similarity is that of the unsheared image. Images (M, S, S) uint8 are by kind, `stimulus`
+    (M,) are names, `pose` is (M, 4 or 6), `move` (M, 2 or 3), and `ms_ssim_<kind>` (M,).
+    """
+    stimulus = contacts.labels["stimulus"][contacts.kept_rows]
+    main_kind = choose_main_kind(contacts.images)
+    similarity = contacts.scores[f"ms_ssim/{main_kind}"][contacts.kept_rows]
+    shown = select_typical(similarity, stimulus)
+    rows = contacts.kept_rows[shown]
+    arrays = {
+        "stimulus": np.array(names)[stimulus[shown]],
+        "pose": contacts.labels["pose"][rows],
+        "move": contacts.labels["move"][rows],
+    }
+    for kind, images in contacts.images.items():
+        arrays[kind] = images[shown]
+        if kind != "tap":
+            arrays[f"ms_ssim_{kind}"] = contacts.scores[f"ms_ssim/{kind}"][rows]
+    return _encode_npz(arrays)
+
+
+def _encode_npz(arrays: dict[str, np.ndarray]) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def select_typical(scores: np.ndarray, stimulus: np.ndarray) -> np.ndarray:
+    """Select contacts to show: for each stimulus those at QUANTILES of the score, worst first.
+
+    Returns indices, none twice.
+    """
+    chosen: list[int] = []
+    for index in np.unique(stimulus):
+        inside = np.flatnonzero(stimulus == index)
+        ranked = inside[np.argsort(scores[inside], kind="stable")]
+        chosen += dict.fromkeys(int(ranked[round(q * (len(ranked) - 1))]) for q in QUANTILES)
+    return np.array(chosen, np.int64)

@@ -8,7 +8,7 @@ from the pins of the network's input, or from either code. Quantities that the i
 have no ceiling; they are named, and left out of means. A slide is given in the sensor's frame.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -17,11 +17,9 @@ import numpy as np
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import DISENTANGLED
-from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_interval, resample_means
-from jaxunshear.evaluation.code_exchange import measure_exchange_errors
-from jaxunshear.evaluation.codes import load_code_network
-from jaxunshear.evaluation.independence import measure_independence
-from jaxunshear.evaluation.probe_data import ProbeSplit, Quantity, read_splits
+from jaxunshear.evaluation.codes import load_code_network, measure_exchange_errors
+from jaxunshear.evaluation.intervals import INTERVALS_OVER, compute_interval, resample_means
+from jaxunshear.evaluation.probe_data import ProbeSplit, Quantity, estimate_slides, read_splits
 from jaxunshear.evaluation.probes import (
     FAMILIES,
     Whitening,
@@ -29,16 +27,19 @@ from jaxunshear.evaluation.probes import (
     fit_whitening,
     prepare_task,
 )
-from jaxunshear.evaluation.slide_estimation import CodedSlides, estimate_slides
 from jaxunshear.files import Json, write_json
-from jaxunshear.metrics.disentanglement import Blocks, score_dci, score_mig, score_sap
-from jaxunshear.metrics.machine import describe_provenance
-from jaxunshear.results.training_summaries import read_training_facts
+from jaxunshear.metrics.disentanglement import Blocks, compute_hsic, score_dci, score_mig, score_sap
+from jaxunshear.results.provenance import describe_provenance, read_training_facts
+from jaxunshear.selection import select_evenly
+from jaxunshear.text_table import format_text_table
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import open_examples
 
 MIN_CEILING = 0.1  # R2 from the input: below it the input does not show a quantity
 SEED = 0
+MAX_COMPARED = 500  # poses, in the criterion of independence
+PLANTED = 0.01  # deviation of a planted leak, in shares of the code's widest direction
+DECODED_UNITS = {"rms_grey": "of 1 in grey", "rms_px": "px"}  # of images and pins
 CODES = ("z_s", "z_p")
 UNTRAINED = "untrained "  # prefix of the codes of an untrained network
 METRIC = (
@@ -91,9 +92,7 @@ def measure_leakage(
         "independence": measure_independence(test, rows),
         "scores": _compute_standard_scores(train, test, rows),
         "exchanged": measure_exchange_errors(network, examples.reader),
-        "slide": estimate_slides(
-            {name: _join_codes(split) for name, split in splits.items()}, test.batch
-        ),
+        "slide": estimate_slides(splits),
         "slides": {"learnt": len(train.poses), "tested": len(test.poses)},
         "sizes": {code: int(test.features[code].shape[1]) for code in CODES},
         **read_training_facts(run_dir, experiment.networks),
@@ -128,7 +127,7 @@ def probe_quantity(
 def _probe_all(train: ProbeSplit, test: ProbeSplit) -> list[Json]:
     """Return a row for each quantity and code, with controls if there are untrained codes."""
     shuffled = np.random.default_rng(SEED).permutation(len(train.poses))
-    rows = []
+    rows: list[Json] = []
     for (what, quantity), labels in train.quantities.items():
         true = test.quantities[what, quantity]
 
@@ -140,29 +139,25 @@ def _probe_all(train: ProbeSplit, test: ProbeSplit) -> list[Json]:
         # a code is a function of the input, so what a code shows the input shows, too
         ceiling = max(estimate.r2 for estimate in estimates.values())
         for code in CODES:
-            row = _make_row((what, code), quantity, estimates[code], test.poses)
-            row["ceiling"] = ceiling if ceiling >= MIN_CEILING else None
+            estimate = estimates[code]
+            row = {
+                "name": f"{quantity} from {code}",
+                "what": what,
+                "code": code,
+                "quantity": quantity,
+                "leak": (what, code) in LEAKS,
+                "r2": estimate.r2,
+                "r2 interval": _bootstrap_r2([estimate], test.poses),
+                "family": estimate.family,
+                "families": estimate.families,
+                "estimate": estimate,
+                "ceiling": ceiling if ceiling >= MIN_CEILING else None,
+            }
             if UNTRAINED + code in train.features:
                 row["untrained"] = probe(UNTRAINED + code).r2
                 row["shuffled"] = probe(code, labels[shuffled]).r2
             rows.append(row)
     return rows
-
-
-def _make_row(pair: tuple[str, str], quantity: str, estimate: Estimate, poses: np.ndarray) -> Json:
-    what, code = pair
-    return {
-        "name": f"{quantity} from {code}",
-        "what": what,
-        "code": code,
-        "quantity": quantity,
-        "leak": pair in LEAKS,
-        "r2": estimate.r2,
-        "r2 interval": _bootstrap_r2([estimate], poses),
-        "family": estimate.family,
-        "families": estimate.families,
-        "estimate": estimate,
-    }
 
 
 def _summarise(rows: Sequence[Json], pair: tuple[str, str], poses: np.ndarray) -> Json:
@@ -222,16 +217,116 @@ def _make_blocks(
     )
 
 
-def _join_codes(split: ProbeSplit) -> CodedSlides:
-    codes = np.concatenate([split.features["z_p"], split.features["z_s"]], axis=1)
-    return CodedSlides(codes, split.select_slides(), split.poses)
-
-
 def _bootstrap_r2(estimates: Sequence[Estimate], poses: np.ndarray) -> list[float]:
-    """Compute the 95 % interval of the mean R2 over resampled poses."""
     resampled = []
     for estimate in estimates:
         values = {"squares": estimate.squares, "scatter": estimate.scatter}
         means = resample_means(values, poses, SEED)
         resampled.append(1 - means["squares"] / means["scatter"])
     return compute_interval(np.mean(resampled, axis=0))
+
+
+def measure_independence(test: ProbeSplit, rows: Sequence[Json]) -> list[Json]:
+    """Test each leak for independence, on one slide at each pose: rows are independent draws.
+
+    The planted leak shows the test's power: codes of other contacts, which know nothing, with the
+    quantity hidden in a direction of PLANTED of the code's spread. If the test does not find it, a
+    large p means nothing.
+    """
+    first = np.unique(test.poses, return_index=True)[1]
+    chosen = first[select_evenly(len(first), MAX_COMPARED)]
+    shuffled = np.random.default_rng(SEED).permutation(chosen)
+    results: list[Json] = []
+    for row in [row for row in rows if row["leak"] and row["ceiling"] is not None]:
+        code = test.features[row["code"]]
+        quantity = test.quantities[row["what"], row["quantity"]][chosen]
+        statistic, p = compute_hsic(fit_whitening(code).apply(code[chosen]), quantity, SEED)
+        hidden = PLANTED * code.std(axis=0).max() * quantity / max(quantity.std(), 1e-12)
+        planted = np.concatenate([code[shuffled], hidden], axis=1)
+        _, planted_p = compute_hsic(fit_whitening(planted).apply(planted), quantity, SEED)
+        results.append(
+            {
+                "name": f"{row['quantity']} and {row['code']}",
+                "hsic": statistic,
+                "p": p,
+                "planted p": planted_p,
+                "poses": len(chosen),
+            }
+        )
+    return results
+
+
+def build_sweep_rows(results: Json) -> list[Json]:
+    """Build the rows of a sweep's ablation."""
+    rows = [_select(row, DECODED_UNITS) for row in _list_exchange_rows(results)]
+    for row in results["summary"]:
+        if row["quantities"]:
+            rows.append(_select(row, ("r2", "ceiling", "share", "largest share")))
+    rows += [{"name": row["name"], "r2": row["r2"]} for row in results["rows"]]
+    rows.append({"name": "standard scores", **results["scores"]})
+    for row in results["slide"]:
+        rows.append(
+            _select(row, ("mae", "rmse", "coverage")) | {"name": f"{row['name']}, {row['part']}"}
+        )
+    return rows
+
+
+def _select(row: Json, names: Iterable[str]) -> Json:
+    return {name: row[name] for name in ("name", *names) if name in row}
+
+
+def format_table(results: Json) -> str:
+    """Format the results for people."""
+    rows = []
+    for row in results["rows"]:
+        figures = {name: row.get(name) for name in ("ceiling", "untrained", "shuffled")}
+        head = {"R2 of": row["name"], "code [95 %]": _format_with_interval(row, "r2")}
+        kind = "a leak" if row["leak"] else ""
+        rows.append(head | {"strongest": row["family"], **figures, "kind": kind})
+    lines = [format_text_table(rows, tuple(rows[0]))]
+    for row in results["summary"]:
+        if row["quantities"]:
+            share, largest = row["share"], row["largest share"]
+            lines.append(
+                f"{row['name']}: {share:.0%} of the ceiling on average, {largest:.0%} at most"
+            )
+        if row["without a ceiling"]:
+            hidden = ", ".join(row["without a ceiling"])
+            lines.append(f"{row['name']}: the input does not show {hidden}: left out")
+    for row in results["independence"]:
+        lines.append(
+            f"{row['name']}: HSIC {row['hsic']:.4f} of 1, p = {row['p']:.3f} of independence, "
+            f"{row['planted p']:.3f} of a planted leak; {row['poses']} poses"
+        )
+    for name, value in results["scores"].items():
+        lines.append(f"{name} by block: {value:.3f}")
+    for row in _list_exchange_rows(results):
+        name = next(name for name in DECODED_UNITS if name in row)
+        error = _format_with_interval(row | {f"{name} interval": row["interval"]}, name)
+        lines.append(
+            f"{row['name']}: {error} {DECODED_UNITS[name]} "
+            "from the contact of that pose and that slide"
+        )
+    for row in results["slide"]:
+        mae, coverage = _format_with_interval(row, "mae"), _format_with_interval(row, "coverage")
+        lines.append(
+            f"{row['name']} from both codes, {row['part']} ({row['slides']}): error {mae}; "
+            f"95 % intervals hold {coverage}"
+        )
+    return "\n".join([*lines, results["metric"]])
+
+
+def _format_with_interval(row: Json, name: str) -> str:
+    return "{:.3g} [{:.3g}, {:.3g}]".format(row[name], *row[f"{name} interval"])
+
+
+def _list_exchange_rows(results: Json) -> list[Json]:
+    errors = results["exchanged"]
+    if not errors:
+        return []
+    rows = []
+    for part in (errors, *errors["by slip"]):
+        end = f", {part['part']}" if "part" in part else ""
+        for name, row in part["drawn"].items():
+            rows.append({"name": f"DS, codes {name}{end}", **row})
+    return rows

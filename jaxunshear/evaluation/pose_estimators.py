@@ -10,18 +10,21 @@ In simulation the estimator over pins learns from the true pins of taps, and is 
 are detected in images.
 """
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.metrics.pairwise import euclidean_distances
+from sklearn.model_selection import GridSearchCV, PredefinedSplit
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import POSENET, UNSHEARING
 from jaxunshear.config.targets import Targets, list_label_fields
 from jaxunshear.data.reader import Reader
-from jaxunshear.evaluation import kernel_ridge
 from jaxunshear.evaluation.score import Outputs, score_poses
 from jaxunshear.models.modality import IMAGES, PINS, get_modality
 from jaxunshear.models.posenet import scale_poses, unscale_outputs
@@ -33,20 +36,70 @@ from jaxunshear.training.examples import open_examples
 PIXELS, PIN_PLACES = "pixels", "pins"
 MAX_TAPS = 3000  # training taps, evenly chosen
 SIDE_PX = 32  # px to which images are averaged
+MIN_EXAMPLES = 10
+MAX_SEARCH_EXAMPLES = 1000  # by which kernel and ridge are chosen
+WIDTHS = (0.25, 0.5, 1.0, 2.0)  # of a Gaussian, over the median square distance of two examples
+RIDGES = (1e-10, 1e-6, 1e-4, 1e-3, 1e-2, 1e-1)
 
 Poses = dict[str, np.ndarray]  # (B,) mm or deg by target
 
 
+class Ridge(NamedTuple):
+    """A fit to examples of F features and K outputs each."""
+
+    feature_mean: np.ndarray  # (F,)
+    scale: float
+    model: KernelRidge  # of scaled features, and of outputs less their mean
+    output_mean: np.ndarray  # (K,)
+
+    def predict(self, features: np.ndarray) -> np.ndarray:
+        """Predict (M, K) for features (M, F)."""
+        scaled = (features.astype(np.float64) - self.feature_mean) / self.scale
+        return self.model.predict(scaled) + self.output_mean
+
+
+def fit_ridge(features: np.ndarray, outputs: np.ndarray) -> Ridge:
+    """Fit outputs (N, K) to features (N, F) without NaN; the same examples give the same bits.
+
+    Kernel and ridge are those that do best on every fifth example after a fit to the others.
+    """
+    features, outputs = features.astype(np.float64), outputs.astype(np.float64)
+    feature_mean = features.mean(axis=0)
+    scaled = features - feature_mean
+    scale = float(np.sqrt(np.mean(np.sum(scaled**2, axis=1)))) or 1.0
+    scaled /= scale
+    some = select_evenly(len(scaled), MAX_SEARCH_EXAMPLES)
+    model = _search_model(scaled[some], outputs[some])
+    output_mean = outputs.mean(axis=0)
+    return Ridge(feature_mean, scale, model.fit(scaled, outputs - output_mean), output_mean)
+
+
+def _search_model(features: np.ndarray, outputs: np.ndarray) -> KernelRidge:
+    held_out = np.arange(len(features)) % 5 == 4
+    median = float(np.median(euclidean_distances(features, squared=True))) or 1.0
+    grid = [
+        {"kernel": ["linear"], "alpha": RIDGES},
+        {"kernel": ["rbf"], "gamma": [1 / (share * median) for share in WIDTHS], "alpha": RIDGES},
+    ]
+    split = PredefinedSplit(np.where(held_out, 0, -1))
+    search = GridSearchCV(
+        KernelRidge(), grid, cv=split, scoring="neg_mean_squared_error", refit=False
+    )
+    with warnings.catch_warnings():  # equal examples and next to no ridge
+        warnings.simplefilter("ignore")
+        search.fit(features, outputs - outputs[~held_out].mean(axis=0))
+    return KernelRidge(**search.best_params_)
+
+
 class RidgeEstimator(NamedTuple):
-    ridge: kernel_ridge.Ridge
+    ridge: Ridge
     targets: Targets
     taps: int  # training taps
 
     def estimate(self, features: np.ndarray) -> Poses:
         """Estimate poses from features (B, F); those that are NaN count as their training mean."""
         filled = np.where(np.isfinite(features), features, self.ridge.feature_mean)
-        outputs = jnp.asarray(kernel_ridge.predict(self.ridge, filled))
-        poses = unscale_outputs(outputs, self.targets)
+        poses = unscale_outputs(jnp.asarray(self.ridge.predict(filled)), self.targets)
         return {name: np.asarray(value) for name, value in poses.items()}
 
 
@@ -90,10 +143,9 @@ def fit_estimator(
 ) -> RidgeEstimator | None:
     """Fit PIXELS or PIN_PLACES to training taps; None if there are too few."""
     rows = select_evenly(taps.length("train"), max_taps)
-    input_field, label_fields = INPUT_FIELDS[name], list_label_fields(targets)
-    batch = taps.take("train", rows, (input_field, *label_fields))
-    labels = {field: batch[field] for field in label_fields}
-    return fit_to_features(FEATURES[name](batch[input_field]), labels, targets)
+    batch = taps.take("train", rows, (INPUT_FIELDS[name], *list_label_fields(targets)))
+    inputs = batch.pop(INPUT_FIELDS[name])
+    return fit_to_features(FEATURES[name](inputs), batch, targets)
 
 
 def fit_to_features(
@@ -107,12 +159,12 @@ def fit_to_features(
     usable = np.isfinite(features).any(axis=1)
     features = features[usable]
     labels = {field: values[usable] for field, values in labels.items()}
-    if len(features) < kernel_ridge.MIN_EXAMPLES or not targets:
+    if len(features) < MIN_EXAMPLES or not targets:
         return None
     finite = np.isfinite(features)
     mean = np.where(finite, features, 0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
     outputs = np.asarray(scale_poses(labels, targets))
-    ridge = kernel_ridge.fit(np.where(finite, features, mean), outputs)
+    ridge = fit_ridge(np.where(finite, features, mean), outputs)
     return RidgeEstimator(ridge, targets, len(features))
 
 
@@ -121,9 +173,12 @@ def estimate_poses(name: str, estimator: RidgeEstimator, outputs: Outputs) -> di
     inputs = outputs.images if name == PIXELS else outputs.pins
     return {
         kind: estimator.estimate(FEATURES[name](np.asarray(inputs[kind])))
-        for kind in ("tap", "sheared", *UNSHEARING)
-        if kind in inputs
+        for kind in _select_kinds(inputs)
     }
+
+
+def _select_kinds(inputs: Container[str]) -> list[str]:
+    return [kind for kind in ("tap", "sheared", *UNSHEARING) if kind in inputs]
 
 
 def score_detected_pins(
@@ -138,9 +193,7 @@ def score_detected_pins(
     not be identified.
     """
     errors: dict[str, np.ndarray] = {}
-    for kind in ("tap", "sheared", *UNSHEARING):
-        if kind not in images:
-            continue
+    for kind in _select_kinds(images):
         features = compute_pin_features(lattice.rest + measure_motions(lattice, images[kind]))
         poses = {kind: estimator.estimate(features)}
         for name, score in score_poses(poses, true, f"read/{PIN_PLACES}").items():

@@ -1,5 +1,6 @@
-"""The slides that probes learn from and are tested on, with the quantities that they predict."""
+"""The slides that probes learn from and are tested on, and estimates of how far they went."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -7,18 +8,15 @@ import numpy as np
 
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.targets import (
-    SIMULATED_FIELDS,
-    Targets,
-    make_range_targets,
-    read_true_values,
-)
+from jaxunshear.config.targets import SIMULATED_FIELDS, Target, make_range_targets, read_true_values
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.bootstrap import number_poses
-from jaxunshear.evaluation.codes import CodeNetwork
+from jaxunshear.evaluation.codes import CodeNetwork, split_by_slip
+from jaxunshear.evaluation.intervals import LEVEL, compute_interval, number_poses, resample_means
 from jaxunshear.evaluation.pose_estimators import compute_pin_features
+from jaxunshear.evaluation.probes import fit_gaussian, prepare_task
+from jaxunshear.files import Json
 from jaxunshear.models.modality import PINS
 from jaxunshear.selection import select_evenly
 
@@ -26,6 +24,7 @@ MOST_SLIDES = {"train": 4000, "validation": 2000, "test": 2000}  # evenly chosen
 LABELS = ("pose", "move", "stimulus", "pose_id")
 OPTIONAL_LABELS = ("felt", "edge", "stuck", "slipping")  # of simulated slides
 
+SEED = 0  # of the bootstrap
 Quantity = tuple[str, str]  # "pose" or "slide", and the name
 
 
@@ -37,8 +36,16 @@ class ProbeSplit(NamedTuple):
     poses: np.ndarray  # (N,) which pose a slide belongs to
     batch: Batch
 
-    def select_slides(self) -> dict[str, np.ndarray]:
-        return {name: v for (part, name), v in self.quantities.items() if part == "slide"}
+    def join_codes(self) -> np.ndarray:
+        return np.concatenate([self.features["z_p"], self.features["z_s"]], axis=1)
+
+    def list_slides(self) -> list[str]:
+        return [name for part, name in self.quantities if part == "slide"]
+
+    def stack_slides(self) -> np.ndarray:
+        """Stack the slides (N, K), mm or deg."""
+        names = self.list_slides()
+        return np.concatenate([self.quantities["slide", name] for name in names], axis=1)
 
 
 def read_splits(
@@ -49,17 +56,17 @@ def read_splits(
     Slides of the pose are scaled by their range; slides are in mm and deg, simulated ones in the
     sensor's frame, recorded ones in the frame of their labels.
     """
-    targets = _list_pose_targets(experiment, data_dir)
+    # all components of the pose that the data vary
+    if isinstance(experiment.paired, PairedData):
+        targets = make_range_targets((), experiment.paired.ranges, tuple(SIMULATED_FIELDS))
+    else:
+        targets = open_source(experiment).open_stored(data_dir).make_targets(())
     splits = {}
     for split, most in MOST_SLIDES.items():
         batch = _read_labelled_slides(examples.reader, split, most, networks[""].modality.sheared)
-        quantities = {
-            **{("pose", name): value for name, value in _scale_poses(targets, batch).items()},
-            **{
-                ("slide", name): value[:, None]
-                for name, value in read_true_values(examples.slide_targets, batch).items()
-            },
-        }
+        quantities = {("pose", target.name): _scale_pose(target, batch) for target in targets}
+        for name, value in read_true_values(examples.slide_targets, batch).items():
+            quantities["slide", name] = value[:, None]
         features = {"pins": compute_pin_features(batch[PINS.sheared])}
         for prefix, network in networks.items():
             codes = network.encode(batch[network.modality.sheared])
@@ -92,21 +99,51 @@ def _read_labelled_slides(reader: Reader, split: str, most: int, inputs: str) ->
     )
 
 
-def _list_pose_targets(experiment: Experiment, data_dir: Path) -> Targets:
-    """List all components of the pose that the data vary."""
-    if isinstance(experiment.paired, PairedData):
-        return make_range_targets((), experiment.paired.ranges, tuple(SIMULATED_FIELDS))
-    return open_source(experiment).open_stored(data_dir).make_targets(())
+def _scale_pose(target: Target, batch: Batch) -> np.ndarray:
+    value = batch[target.field][:, target.column].astype(np.float64)
+    if target.is_circular:
+        angle = np.radians(value)
+        return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return np.stack([(value - target.centre) / target.half_range], axis=-1)
 
 
-def _scale_poses(targets: Targets, batch: Batch) -> dict[str, np.ndarray]:
-    poses = {}
-    for target in targets:
-        value = batch[target.field][:, target.column].astype(np.float64)
-        if target.is_circular:
-            angle = np.radians(value)
-            scaled = [np.cos(angle), np.sin(angle)]
-        else:
-            scaled = [(value - target.centre) / target.half_range]
-        poses[target.name] = np.stack(scaled, axis=-1)
-    return poses
+def estimate_slides(splits: Mapping[str, ProbeSplit]) -> list[Json]:
+    """Estimate test slides from both codes; return errors by quantity and `split_by_slip`.
+
+    A small network learns mean and deviation of each quantity from the codes of training slides.
+    Its deviations are then scaled until the intervals contain 95 % of the validation slides (split
+    conformal: no distribution is assumed). Once all the skin that touches slips, the camera does
+    not show how far the sensor went: the commanded slide and the shear of the skin differ.
+    """
+    train, validation, test = splits["train"], splits["validation"], splits["test"]
+    codes = np.concatenate([validation.join_codes(), test.join_codes()])
+    task = prepare_task(train.join_codes(), train.stack_slides(), codes, train.poses)
+    mean, deviation = fit_gaussian(task)
+    count, true = len(validation.poses), test.stack_slides()
+    scores = np.abs(mean[:count] - validation.stack_slides()) / deviation[:count]
+    scale = np.quantile(scores, min(1.0, LEVEL * (1 + 1 / count)), axis=0)
+    error, half_width = mean[count:] - true, scale * deviation[count:]
+    parts = {"all": np.ones(len(true), bool), **split_by_slip(test.batch)}
+    rows = []
+    for column, name in enumerate(test.list_slides()):
+        for part, inside in parts.items():
+            if inside.any():
+                row = {"name": name, "part": part, "slides": int(inside.sum())}
+                errors = error[inside, column], half_width[inside, column]
+                rows.append(row | _score_intervals(*errors, test.poses[inside]))
+    return rows
+
+
+def _score_intervals(error: np.ndarray, half_width: np.ndarray, poses: np.ndarray) -> Json:
+    covered = (np.abs(error) <= half_width).astype(np.float64)
+    scores = {"mae": np.abs(error), "square": error**2, "coverage": covered}
+    means = resample_means(scores, poses, SEED)
+    return {
+        "mae": float(np.abs(error).mean()),
+        "mae interval": compute_interval(means["mae"]),
+        "rmse": float(np.sqrt(np.mean(error**2))),
+        "rmse interval": compute_interval(np.sqrt(means["square"])),
+        "coverage": float(covered.mean()),
+        "coverage interval": compute_interval(means["coverage"]),
+        "half_width": float(half_width.mean()),
+    }

@@ -26,7 +26,7 @@ from sklearn.linear_model import Ridge
 from sklearn.neighbors import KNeighborsRegressor
 from threadpoolctl import threadpool_limits
 
-from jaxunshear.evaluation import kernel_ridge
+from jaxunshear.evaluation.pose_estimators import MAX_SEARCH_EXAMPLES, fit_ridge
 from jaxunshear.selection import select_evenly
 
 HIDDEN, LAYERS = 128, 2
@@ -42,7 +42,6 @@ MAX_DIRECTIONS = 256
 _State = tuple[VariableDict, optax.OptState]
 Codes = Float[np.ndarray, "N F"]
 Choice = TypeVar("Choice", int, float)
-_Predict = Callable[[Choice, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 class Whitening(NamedTuple):
@@ -118,7 +117,7 @@ def prepare_task(
         whitening.apply(codes),
         (targets - centre) / spread,
         whitening.apply(test_codes),
-        mark_held_out(groups),
+        np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4,
         np.asarray(codes, np.float64),
         test_codes,
         centre,
@@ -126,45 +125,49 @@ def prepare_task(
     )
 
 
-def mark_held_out(groups: Int[np.ndarray, "N"]) -> np.ndarray:
-    """Mark the examples (N,) of every fifth group."""
-    return np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4
-
-
 def fit_linear(task: ProbeTask) -> np.ndarray:
-    """Predict by ridge regression; held-out groups choose the ridge."""
+    """Predict by ridge regression; held-out groups choose the ridge, times the examples."""
 
-    def predict(ridge: float, x: np.ndarray, y: np.ndarray, test_x: np.ndarray) -> np.ndarray:
-        model = Ridge(ridge * len(x), fit_intercept=False).fit(x, y)
-        return model.predict(test_x).reshape(len(test_x), -1)
+    def make_model(ridge: float, examples: int) -> Ridge:
+        return Ridge(ridge * examples, fit_intercept=False)
 
-    return _predict_by_best(task, RIDGES, predict)
+    return _predict_by_best(task, RIDGES, make_model)
 
 
 def fit_neighbours(task: ProbeTask) -> np.ndarray:
     """Predict by the mean of the nearest codes; held-out groups choose how many."""
-
-    def predict(count: int, x: np.ndarray, y: np.ndarray, test_x: np.ndarray) -> np.ndarray:
-        return KNeighborsRegressor(count).fit(x, y).predict(test_x)
-
     most = np.count_nonzero(~task.held_out)
-    return _predict_by_best(task, [n for n in NEIGHBOURS if n <= most] or [1], predict)
+    counts = [count for count in NEIGHBOURS if count <= most] or [1]
+    return _predict_by_best(task, counts, lambda count, _: KNeighborsRegressor(count))
+
+
+def _predict_by_best(
+    task: ProbeTask,
+    choices: Sequence[Choice],
+    make_model: Callable[[Choice, int], Ridge | KNeighborsRegressor],
+) -> np.ndarray:
+    """Predict by the choice that errs least on the held-out groups."""
+    errors = {}
+    for choice in choices:
+        x, y = task.x[~task.held_out], task.y[~task.held_out]
+        predicted = make_model(choice, len(x)).fit(x, y).predict(task.x[task.held_out])
+        errors[choice] = _compute_error(predicted.reshape(-1, y.shape[1]), task)
+    model = make_model(min(errors, key=errors.__getitem__), len(task.x))
+    predicted = model.fit(task.x, task.y).predict(task.test_x)
+    return predicted.reshape(len(task.test_x), -1)
 
 
 def fit_kernel_ridge(task: ProbeTask) -> np.ndarray:
     """Predict by kernel ridge regression; held-out groups choose raw or whitened codes."""
-    choices = ((task.x, task.test_x), (task.raw_codes, task.raw_test_codes))
     fitting = np.flatnonzero(~task.held_out)
-    some = fitting[select_evenly(len(fitting), kernel_ridge.MAX_SEARCH_EXAMPLES)]
-
-    def compute_error(choice: tuple[np.ndarray, np.ndarray]) -> float:
-        features, _ = choice
-        ridge = kernel_ridge.fit(features[some], task.y[some])
-        predicted = kernel_ridge.predict(ridge, features[task.held_out])
-        return _compute_error(predicted, task)
-
-    features, test_features = min(choices, key=compute_error)
-    return kernel_ridge.predict(kernel_ridge.fit(features, task.y), test_features)
+    some = fitting[select_evenly(len(fitting), MAX_SEARCH_EXAMPLES)]
+    errors = []
+    for features in (task.x, task.raw_codes):
+        ridge = fit_ridge(features[some], task.y[some])
+        errors.append(_compute_error(ridge.predict(features[task.held_out]), task))
+    if errors[1] < errors[0]:
+        return fit_ridge(task.raw_codes, task.y).predict(task.raw_test_codes)
+    return fit_ridge(task.x, task.y).predict(task.test_x)
 
 
 def fit_trees(task: ProbeTask) -> np.ndarray:
@@ -208,19 +211,6 @@ def fit_gaussian(task: ProbeTask) -> tuple[np.ndarray, np.ndarray]:
     """
     mean, log_deviation = np.split(fit_mlp(task, gaussian=True), 2, axis=1)
     return task.unscale(mean), np.exp(log_deviation) * task.spread
-
-
-def _predict_by_best(
-    task: ProbeTask, choices: Sequence[Choice], predict: _Predict[Choice]
-) -> np.ndarray:
-    """Predict by the choice that errs least on the held-out groups."""
-    fitting, held_out = ~task.held_out, task.held_out
-
-    def compute_error(choice: Choice) -> float:
-        predicted = predict(choice, task.x[fitting], task.y[fitting], task.x[held_out])
-        return _compute_error(predicted, task)
-
-    return predict(min(choices, key=compute_error), task.x, task.y, task.test_x)
 
 
 def _compute_error(predicted: np.ndarray, task: ProbeTask) -> float:

@@ -3,39 +3,55 @@
 >>> evaluate_recordings(experiment, Path("runs/recorded"), data)  # on their held-out part
 >>> results = score_recordings(experiment, run_dir, Path("other_day"), data, command)
 >>> results.pose_mae["unsheared"]["y_mm"]
+
+Taps and slides of a test need not have the same poses. PoseNet is scored on taps, and on slides
+sheared and unsheared. Similarity is that of an unsheared slide to its partner, which is a recorded
+tap or rendered.
 """
 
 import dataclasses
 import shutil
 import time
+from collections.abc import Mapping
 from pathlib import Path
+
+import numpy as np
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.data.recorded_contacts import compute_digest, read_test_contacts
-from jaxunshear.data.recorded_frames import UnstoredSet, prepare_chunks
-from jaxunshear.data.recorded_set import RecordedSet
-from jaxunshear.data.sensor_frame import parse_frame
+from jaxunshear.config.registry import POSENET, POSENETS
+from jaxunshear.config.targets import Targets
+from jaxunshear.data.digests import compute_digest
+from jaxunshear.data.preprocessing import prepare_chunks
+from jaxunshear.data.reader import Batch, Reader
+from jaxunshear.data.recorded_contacts import read_test_contacts
+from jaxunshear.data.recorded_set import RecordedSet, UnstoredSet, parse_frame
+from jaxunshear.data.recorded_source import read_pin_layout
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.conformal import compute_coverage, compute_half_widths
+from jaxunshear.evaluation.contact_scores import BATCH, ContactScores, Scorer, TestSet, score_test
+from jaxunshear.evaluation.evaluate import EvaluatedRun
+from jaxunshear.evaluation.intervals import compute_coverage, compute_half_widths
+from jaxunshear.evaluation.network_outputs import load_run
 from jaxunshear.evaluation.pose_estimators import PIXELS, fit_estimators
-from jaxunshear.evaluation.recorded_results import build_recorded_results
-from jaxunshear.evaluation.recorded_scores import (
-    choose_test,
-    convert_montage_labels,
-    load_scorer,
-    score_contacts,
+from jaxunshear.evaluation.recorded_results import (
+    RecordedScores,
+    RecordedTest,
+    build_recorded_results,
 )
 from jaxunshear.evaluation.result_tables import finish_results
-from jaxunshear.evaluation.score_files import EvaluatedRun
+from jaxunshear.evaluation.score import TARGET_KIND
 from jaxunshear.files import read_object
-from jaxunshear.models.modality import get_modality
+from jaxunshear.models.modality import PINS, Modality, get_modality
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results
 from jaxunshear.training.checkpoint import check_finished, read_targets
-from jaxunshear.training.examples import FRAME
+from jaxunshear.training.examples import FRAME, HelperLoader
 from jaxunshear.training.initial_weights import check_unseen
+
+KEPT_SLIDES = 72  # slides whose pins are detected, and from which the montage is chosen
+TAP_LABELS = ("pose", "pose_id", "stimulus", "number", "sure")
+SLIDE_LABELS = (*TAP_LABELS, "move")
 
 
 def evaluate_recordings(experiment: Experiment, run_dir: Path, data_dir: Path) -> EvaluatedRun:
@@ -45,16 +61,16 @@ def evaluate_recordings(experiment: Experiment, run_dir: Path, data_dir: Path) -
     """
     stored = open_source(experiment).open_stored(data_dir)
     targets = stored.make_targets(experiment.targets)
-    test = choose_test(experiment, stored, targets, run_dir, data_dir)
-    scorer = load_scorer(experiment, run_dir, stored, targets)
+    test = _choose_test(experiment, stored, targets, run_dir, data_dir)
+    scorer = _load_scorer(experiment, run_dir, stored, targets)
     estimators = {}
     if stored.count_contacts("taps", "train"):
         # the pins in unsheared images of recordings have no identities
         estimators = fit_estimators(experiment, data_dir, run_dir, (PIXELS,))
     modality = get_modality(experiment)
-    scores = score_contacts(scorer._replace(estimators=estimators), modality, test)
+    scores = _score_contacts(scorer._replace(estimators=estimators), modality, test)
     results = build_recorded_results(experiment, stored, targets, scores, test)
-    validation = score_contacts(scorer, modality, test, "validation")
+    validation = _score_contacts(scorer, modality, test, "validation")
     half_widths = compute_half_widths(validation.list_pose_errors())
     taps = {name: estimator.taps for name, estimator in estimators.items()}
     results = dataclasses.replace(
@@ -68,6 +84,12 @@ def evaluate_recordings(experiment: Experiment, run_dir: Path, data_dir: Path) -
     further = {} if scores.taps is None else {"taps": scores.taps}
     montage_names = ("recorded",) if test.paired else ()
     return EvaluatedRun(results, convert_montage_labels(scores.slides), further, montage_names)
+
+
+def convert_montage_labels(slides: ContactScores) -> ContactScores:
+    """Convert labels to those of a montage: depth in the fourth column, slides along x and y."""
+    pose, move = slides.labels["pose"][:, [0, 1, 5, 2]], slides.labels["move"][:, :2]
+    return slides._replace(labels=slides.labels | {"pose": pose, "move": move})
 
 
 def score_recordings(
@@ -92,12 +114,16 @@ def score_recordings(
         settings, tap_folder=str(recordings), slide_folder=str(recordings), digest=digest, pairs=""
     )
     folder = Path(data_dir) / ".partial" / f"unseen-{digest}"
-    stored = _prepare_set(run_dir, settings, folder)
+    # with crop and rest positions of the run's own sensor
+    contacts, stored_frame = read_test_contacts(settings), read_object(run_dir / FRAME)
+    frame = parse_frame(stored_frame)
+    paths = prepare_chunks(contacts, settings, frame, folder, f"read {settings.slide_folder}")
+    stored = RecordedSet(settings, UnstoredSet(contacts, paths, stored_frame))
     targets = read_targets(run_dir / experiment.networks[-1])
     unseen = dataclasses.replace(experiment, paired=settings)
-    test = choose_test(unseen, stored, targets, run_dir)
-    scorer = load_scorer(unseen, run_dir, stored, targets)
-    scores = score_contacts(scorer, get_modality(unseen), test)
+    test = _choose_test(unseen, stored, targets, run_dir)
+    scorer = _load_scorer(unseen, run_dir, stored, targets)
+    scores = _score_contacts(scorer, get_modality(unseen), test)
     results = build_recorded_results(unseen, stored, targets, scores, test)
     half_widths: FullTable = {}
     if (run_dir / "results.json").exists():
@@ -132,9 +158,105 @@ def _check_not_learned_from(
     return digest
 
 
-def _prepare_set(run_dir: Path, settings: Recorded, folder: Path) -> RecordedSet:
-    """Prepare recordings as a set, with crop and rest positions of the run's own sensor."""
-    contacts, stored_frame = read_test_contacts(settings), read_object(run_dir / FRAME)
-    frame = parse_frame(stored_frame)
-    paths = prepare_chunks(contacts, settings, frame, folder, f"read {settings.slide_folder}")
-    return RecordedSet(settings, UnstoredSet(contacts, paths, stored_frame))
+def _choose_test(
+    experiment: Experiment,
+    stored: RecordedSet,
+    targets: Targets,
+    run_dir: Path,
+    data_dir: Path | None = None,
+) -> RecordedTest:
+    """Choose the contacts to score: the test split of the recordings that the run learned from.
+
+    Without `data_dir` these are other recordings: slides have no partners, and no similarity.
+    """
+    unshears = any(name not in POSENETS for name in experiment.networks)
+    slides = taps = None
+    if stored.count_contacts("slides", "test"):
+        if data_dir and unshears:
+            helpers = HelperLoader(experiment, data_dir, run_dir)
+            images = get_modality(experiment) is not PINS
+            slides = open_source(experiment).open_pairs(stored, targets, helpers, images)
+        else:
+            slides = stored.read_slides()
+    if stored.count_contacts("taps", "test") and POSENET in experiment.networks:
+        taps = stored.read_taps()
+    paired = slides is not None and data_dir is not None and unshears
+    return RecordedTest(slides, taps, paired, "same session" if data_dir else "other recordings")
+
+
+def _load_scorer(
+    experiment: Experiment, run_dir: Path, stored: RecordedSet, targets: Targets
+) -> Scorer:
+    pins = read_pin_layout(stored.frame)
+    return Scorer(load_run(run_dir, experiment.networks, get_modality(experiment), pins), targets)
+
+
+def _score_contacts(
+    scorer: Scorer, modality: Modality, test: RecordedTest, split: str = "test"
+) -> RecordedScores:
+    """Score the slides and the taps of a split.
+
+    Networks over pins are scored on those contacts alone whose pins were identified.
+    Raises UserError if no slide and no tap is labelled, or identified.
+    """
+    slides = taps = None
+    if test.slides is not None:
+        slides = _score_split(scorer, modality, test.slides, split, test.paired)
+    if slides is not None:
+        slides = slides._replace(scores=_select_slide_scores(slides.scores, test.paired))
+    if test.taps is not None:
+        taps = _score_split(scorer, modality, test.taps, split)
+    if taps is not None:
+        prefixes = ("pose/tap/", *(f"read/{name}/tap/" for name in scorer.estimators))
+        chosen = {name: score for name, score in taps.scores.items() if name.startswith(prefixes)}
+        taps = taps._replace(scores=chosen)
+    if slides is None and taps is None:
+        requirement = " and pins that are identified" if modality.needs_identified_pins else ""
+        raise UserError(f"nothing can be scored: no {split} slide or tap has a label{requirement}")
+    return RecordedScores(slides, taps)
+
+
+def _score_split(
+    scorer: Scorer, modality: Modality, reader: Reader, split: str, paired: bool | None = None
+) -> ContactScores | None:
+    """Score the contacts of a split that networks can be given; None if there are none.
+
+    `paired` says whether slides have partners, and is None for taps. A slide without partner, and a
+    tap, stand for both contacts of a pair.
+    """
+    sources: dict[
+        str, str
+    ] = {}  # the field of the reader, by the field of a pair that it stands for
+    for each in (modality, PINS):
+        alone = each.single if paired is None else each.sheared
+        sources |= {each.canonical: each.canonical if paired else alone, each.sheared: alone}
+    rows = np.arange(reader.length(split))
+    if modality.needs_identified_pins:
+        fields = tuple(dict.fromkeys(sources[name] for name in PINS.pair))
+        stored = reader.take(split, rows, fields)
+        identified = [np.isfinite(pins).any(axis=(1, 2)) for pins in stored.values()]
+        rows = rows[np.all(identified, axis=0)]
+    if not len(rows):
+        return None
+    labels = TAP_LABELS if paired is None else SLIDE_LABELS
+
+    def read_batch(start: int) -> Batch:
+        fields = (*dict.fromkeys(sources.values()), *labels)
+        batch = reader.take(split, rows[start : start + BATCH], fields)
+        return batch | {name: batch[source] for name, source in sources.items()}
+
+    batches = map(read_batch, range(0, len(rows), BATCH))
+    keep, title = KEPT_SLIDES, "evaluate"
+    if paired is None:
+        keep, title = 0, f"evaluate taps ({modality.single})"
+    return score_test(scorer, TestSet(batches, len(rows), modality.pair, labels, keep, title))
+
+
+def _select_slide_scores(scores: Mapping[str, np.ndarray], paired: bool) -> dict[str, np.ndarray]:
+    """Name the tap of a pair TARGET_KIND; of slides without partners select the poses alone."""
+    selected = {}
+    for name, score in scores.items():
+        if not paired and ("/tap/" in name or not name.startswith(("pose/", "read/"))):
+            continue
+        selected[name.replace("/tap/", f"/{TARGET_KIND}/")] = score
+    return selected

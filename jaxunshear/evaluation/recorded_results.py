@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from jaxunshear.config.targets import Targets, list_target_names
 from jaxunshear.data.reader import Reader
 from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.evaluation.contact_scores import ContactScores
-from jaxunshear.evaluation.recorded_scores import UNSHEARED, RecordedScores, RecordedTest
 from jaxunshear.evaluation.result_tables import (
     SEED,
     build_tables,
@@ -22,11 +21,12 @@ from jaxunshear.evaluation.result_tables import (
     tabulate_by_size,
 )
 from jaxunshear.evaluation.score import choose_main_kind
-from jaxunshear.metrics.pin_error import measure_pin_errors
+from jaxunshear.metrics.errors import measure_pin_errors
 from jaxunshear.models.modality import PINS, Modality, get_modality
-from jaxunshear.results.run import Counts, Pairing, Recordings, Results, Scores, Tables
+from jaxunshear.results.run import Counts, Pairing, Recordings, Results, Scores, Tables, TestData
 from jaxunshear.text_table import format_text_table
 
+UNSHEARED = "unsheared"  # the network that stands for a run, whichever it is
 RECORDED_COUNTS = ("contacts", "dropped", "unsure", "taps", "slides", "dropped_frames")
 POSE_ROWS = ("tap", "sheared", UNSHEARED, "sheared_learnt")
 METRIC_NOTES = {
@@ -44,6 +44,41 @@ PIN_METRIC_NOTES = {
 }
 
 Row = TypeVar("Row")
+
+
+class RecordedTest(NamedTuple):
+    """The recorded contacts of a test: slides, with partners if `paired`, and taps."""
+
+    slides: Reader | None
+    taps: Reader | None
+    paired: bool
+    data: TestData
+
+
+class RecordedScores(NamedTuple):
+    """Scores of the slides and of the taps of a recorded test; None if there are none."""
+
+    slides: ContactScores | None
+    taps: ContactScores | None
+
+    def get_main(self) -> ContactScores:
+        """Return the slides; of a test without slides the taps, without their scores."""
+        if self.slides is not None:
+            return self.slides
+        assert self.taps is not None
+        return self.taps._replace(scores={})
+
+    def list_pose_errors(self) -> dict[str, np.ndarray]:
+        """List pose errors (N,) by `pose/<kind>/<target>`; the main network's are UNSHEARED."""
+        slide_scores = {} if self.slides is None else self.slides.scores
+        kinds = {name.split("/")[1] for name in slide_scores if name.startswith("pose/")}
+        main_kind = choose_main_kind(kinds)
+        errors = {} if self.taps is None else dict(self.taps.scores)
+        for name, score in slide_scores.items():
+            if main_kind != "sheared":
+                name = name.replace(f"pose/{main_kind}/", f"pose/{UNSHEARED}/")
+            errors[name] = score
+        return errors
 
 
 def build_recorded_results(
@@ -149,7 +184,6 @@ def _describe_recordings(experiment: Experiment, stored: RecordedSet) -> Recordi
 
 
 def _describe_pairing(stored: RecordedSet, test: RecordedTest, targets: Targets) -> Pairing:
-    """Describe how slides are paired, and how far the partners' poses are from theirs."""
     slides = test.slides
     if slides is None or not test.paired:
         return Pairing("none", {})
@@ -167,8 +201,6 @@ def _describe_pairing(stored: RecordedSet, test: RecordedTest, targets: Targets)
 
 
 def _count_contacts(stored: RecordedSet, scores: RecordedScores, test: RecordedTest) -> Counts:
-    """Count contacts by split, and those of the test that were scored and left out."""
-
     def count_test_contacts(reader: Reader | None) -> int:
         return 0 if reader is None else reader.length("test")
 

@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -12,16 +12,17 @@ import numpy as np
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import Targets, read_true_values
-from jaxunshear.evaluation.bootstrap import (
+from jaxunshear.evaluation.contact_scores import ContactScores
+from jaxunshear.evaluation.intervals import (
     INTERVALS_OVER,
     LEVEL,
     RESAMPLES,
     compute_interval,
+    compute_recovery,
+    compute_recovery_interval,
     resample_means,
 )
-from jaxunshear.evaluation.contact_scores import ContactScores
-from jaxunshear.evaluation.measurements import round_values
-from jaxunshear.evaluation.paper_results import PAPER
+from jaxunshear.evaluation.measurements import PAPER, round_values
 from jaxunshear.evaluation.score import (
     CELL_METRICS,
     CELLS,
@@ -32,7 +33,7 @@ from jaxunshear.evaluation.score import (
 )
 from jaxunshear.files import Json
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
-from jaxunshear.metrics.machine import describe_provenance
+from jaxunshear.results.provenance import describe_provenance, read_training_facts
 from jaxunshear.results.run import (
     CodeSwapScore,
     PartPoses,
@@ -43,7 +44,6 @@ from jaxunshear.results.run import (
     Spread,
     Tables,
 )
-from jaxunshear.results.training_summaries import read_training_facts
 
 Figure = TypeVar("Figure")
 OVERALL = "overall"
@@ -80,16 +80,11 @@ def build_tables(
 ) -> Tables:
     """Build the tables of a test, with their 95 % intervals under `spread`.
 
-    A stimulus without test contacts is None. `pose_ratio` is the error over that on sheared images;
-    `pose_recovery` is the part of the slide's damage undone, (sheared - unsheared) / (sheared -
-    tap), None if the slide does no damage; `difference` is disentangled less another network,
-    contact by contact. `readers` are the errors of pose estimators other than PoseNet, and
-    `reader_images` the number of images that they come from.
-
-    Args:
-        contacts: The contacts, or none with a score if there are taps alone.
-        stimuli: Names, indexed by the label `stimulus`.
-        taps: Further taps, which join the tables of poses.
+    `stimuli` are names, indexed by the label `stimulus`; one without test contacts is None. `taps`
+    join the tables of poses. `pose_ratio` is the error over that on sheared images; `pose_recovery`
+    is None if the slide does no damage; `difference` is disentangled less another network, contact
+    by contact. `readers` are the errors of pose estimators other than PoseNet, and `reader_images`
+    the number of images that they come from.
     """
     scores, poses, stimulus = contacts.scores, contacts.poses, contacts.labels["stimulus"]
     parts = {name: resample(scores, poses, stimulus == index) for index, name in enumerate(stimuli)}
@@ -100,6 +95,7 @@ def build_tables(
         tested_poses = Resampled({**scores, **taps.scores}, {**overall.means, **means})
     pose_table = tabulate_poses(tested_poses)
     groups = {**parts, OVERALL: overall}
+    differences = _group_names(scores, "difference")
     readers = _tabulate_estimators([contacts] if taps is None else [taps, contacts])
     return Tables(
         ms_ssim=_tabulate_similarity(groups, Resampled.compute_mean),
@@ -109,7 +105,7 @@ def build_tables(
         pose_by_stimulus={
             name: None if part is None else tabulate_poses(part) for name, part in parts.items()
         },
-        difference=_tabulate_differences(overall, Resampled.compute_mean),
+        difference=_map_names(differences, overall.compute_mean),
         swap=_tabulate_swaps(overall),
         readers=readers.means,
         reader_images=readers.counts,
@@ -122,7 +118,7 @@ def build_tables(
             ms_ssim=_tabulate_similarity(groups, Resampled.compute_interval),
             pose_mae=pose_table.spread.pose_mae,
             pose_recovery=pose_table.spread.pose_recovery,
-            difference=_tabulate_differences(overall, Resampled.compute_interval),
+            difference=_map_names(differences, overall.compute_interval),
             readers=readers.intervals,
         ),
     )
@@ -168,7 +164,6 @@ def describe_similarity(size: int) -> dict[str, str | int]:
 def _tabulate_similarity(
     groups: Mapping[str, Resampled | None], compute: Callable[[Resampled, str], Figure]
 ) -> dict[str, dict[str, Figure | None]]:
-    """Tabulate a figure of the MS-SSIM by kind and group of contacts."""
     overall = groups[OVERALL]
     assert overall is not None
     table: dict[str, dict[str, Figure | None]] = {}
@@ -179,18 +174,6 @@ def _tabulate_similarity(
                 group: None if part is None else compute(part, name)
                 for group, part in groups.items()
             }
-    return table
-
-
-def _tabulate_differences(
-    overall: Resampled, compute: Callable[[Resampled, str], Figure]
-) -> dict[str, dict[str, Figure]]:
-    """Tabulate a figure of `difference/<kind>/<quantity>` by kind and quantity."""
-    table: dict[str, dict[str, Figure]] = {}
-    for name in overall.scores:
-        if name.startswith("difference/"):
-            _, kind, quantity = name.split("/")
-            table.setdefault(kind, {})[quantity] = compute(overall, name)
     return table
 
 
@@ -268,37 +251,52 @@ def tabulate_part(
 
 def tabulate_poses(part: Resampled) -> PartPoses:
     """Tabulate pose errors, their ratios and recoveries, with intervals."""
-    errors: dict[str, dict[str, float | None]] = {}
-    resampled: dict[str, dict[str, np.ndarray]] = {}
-    for kind in list_pose_kinds():
-        prefix = f"pose/{kind}/"
-        for name in part.scores:
-            if name.startswith(prefix):
-                quantity = name.removeprefix(prefix)
-                errors.setdefault(kind, {})[quantity] = part.compute_mean(name)
-                resampled.setdefault(kind, {})[quantity] = part.means[name]
+    names = _group_names(part.scores, "pose")
+    names = {kind: names[kind] for kind in list_pose_kinds() if kind in names}
+    errors = _map_names(names, part.compute_mean)
+    resampled = _map_names(names, part.means.__getitem__)
     ratios: dict[str, dict[str, float | None]] = {}
     recoveries: dict[str, dict[str, float | None]] = {}
     intervals: dict[str, dict[str, Span]] = {}
+
+    def compute_ratio(error: float | None, sheared: float | None) -> float | None:
+        return error / sheared if error is not None and sheared else None
+
     for kind in errors if "sheared" in errors else ():
         if kind in ("tap", "sheared"):
             continue
-        ratios[kind] = combine_kinds(_compute_ratio, errors, (kind, "sheared"))
+        ratios[kind] = combine_kinds(compute_ratio, errors, (kind, "sheared"))
         if "tap" in errors:
             kinds = (kind, "sheared", "tap")
             recoveries[kind] = combine_kinds(compute_recovery, errors, kinds)
-            intervals[kind] = combine_kinds(_compute_recovery_interval, resampled, kinds)
+            intervals[kind] = combine_kinds(compute_recovery_interval, resampled, kinds)
     return PartPoses(
         pose_mae=errors,
         pose_ratio=ratios,
         pose_recovery=recoveries,
         spread=PoseSpread(
-            pose_mae={
-                kind: combine_kinds(compute_interval, resampled, (kind,)) for kind in resampled
-            },
-            pose_recovery=intervals,
+            pose_mae=_map_names(names, part.compute_interval), pose_recovery=intervals
         ),
     )
+
+
+def _group_names(scores: Iterable[str], table: str) -> dict[str, dict[str, str]]:
+    """Group the names `<table>/<kind>/<quantity>` of scores by kind and quantity."""
+    names: dict[str, dict[str, str]] = {}
+    for name in scores:
+        if name.startswith(f"{table}/"):
+            _, kind, quantity = name.split("/")
+            names.setdefault(kind, {})[quantity] = name
+    return names
+
+
+def _map_names(
+    names: Mapping[str, Mapping[str, str]], compute: Callable[[str], Figure]
+) -> dict[str, dict[str, Figure]]:
+    table = {}
+    for kind, quantities in names.items():
+        table[kind] = {quantity: compute(name) for quantity, name in quantities.items()}
+    return table
 
 
 def combine_kinds(
@@ -307,25 +305,3 @@ def combine_kinds(
     """Compute a figure of each quantity from its values for several kinds."""
     rows = [table[kind] for kind in kinds]
     return {name: compute(*map(itemgetter(name), rows)) for name in rows[0]}
-
-
-def _compute_ratio(error: float | None, sheared: float | None) -> float | None:
-    return error / sheared if error is not None and sheared else None
-
-
-def compute_recovery(
-    unsheared: float | None, sheared: float | None, tap: float | None
-) -> float | None:
-    if sheared is None or unsheared is None or tap is None or sheared <= tap:
-        return None
-    return (sheared - unsheared) / (sheared - tap)
-
-
-def _compute_recovery_interval(unsheared: np.ndarray, sheared: np.ndarray, tap: np.ndarray) -> Span:
-    """Compute the interval of the recovery from resampled errors.
-
-    None if the slide does no damage in one of the resamples, as the recovery then has no bounds.
-    """
-    if np.any(sheared <= tap):
-        return None
-    return compute_interval((sheared - unsheared) / (sheared - tap))

@@ -17,6 +17,7 @@ from jaxunshear.metrics import compute_pose_errors, count_scales, ms_ssim, mse, 
 
 BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
 DIRECT_KIND = "sheared_learnt"  # poses by a PoseNet that learned from sheared images
+SMOOTH = "smooth"  # label of contacts whose nearest edge has one direction
 TARGET_KIND = "partner"  # of a recorded slide: what a perfect network would unshear it to
 # appendix D: which decoder is given which codes
 CELLS = ("DC(z_p)", "DC(z_s)", "DS(z_p,z_s)", "DS(z_p,z_p)")

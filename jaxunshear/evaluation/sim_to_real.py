@@ -3,12 +3,13 @@
 >>> results = score_transfer(experiment, Path("weights"), Path("recordings"), command)
 >>> results.pose_mae["unsheared"]["Rz_deg"]
 
-Half of the recorded taps, drawn at random, align predictions with labels (`label_alignment`). The
-other half is scored, and every slide; nothing is fitted to slides. Unsheared slides have an
-alignment of their own, by unsheared taps, because the network moves all real taps a little and
-alike. With the alignment of taps as recorded, unsheared slides are scored once more
-(`UNSHEARED_RAW_OFFSET`). For networks over pins, the rest positions are the mean over some of the
-contacts themselves: of taps for taps, of slides for slides.
+The labels are of taps on a straight edge. What a network predicts of them, edge distance, edge
+angle and depth, has an offset and a sign of its own. Half of the recorded taps, drawn at random,
+align predictions with labels by these two. The other half is scored, and every slide; nothing is
+fitted to slides. Unsheared slides have an alignment of their own, by unsheared taps, because the
+network moves all real taps a little and alike. With the alignment of taps as recorded, unsheared
+slides are scored once more (`UNSHEARED_RAW_OFFSET`). For networks over pins, the rest positions are
+the mean over some of the contacts themselves: of taps for taps, of slides for slides.
 
 Networks over pins are also evaluated by kernel ridge regression, which learns the pose from the
 pins of those same taps. It has nothing in common with the networks or with their simulator.
@@ -16,36 +17,40 @@ pins of those same taps. It has nothing in common with the networks or with thei
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.targets import RECORDED_FIELDS, Target, list_target_names, make_label_targets
-from jaxunshear.data.recorded_contacts import compute_digest, read_test_contacts
-from jaxunshear.data.sensor_frame import MIN_FRAMES, find_sensor_frame
+from jaxunshear.config.targets import (
+    MIN_VARIATION,
+    RECORDED_FIELDS,
+    Target,
+    list_target_names,
+    make_label_targets,
+)
+from jaxunshear.data.digests import compute_digest
+from jaxunshear.data.preprocessing import MIN_FRAMES, find_sensor_frame
+from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contacts
+from jaxunshear.data.recorded_probes import find_training_view
+from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.contact_predictions import ContactPredictions, predict_contacts
-from jaxunshear.evaluation.label_alignment import (
-    LabelAlignment,
-    align_to_labels,
-    choose_scored_labels,
-    get_label,
-)
-from jaxunshear.evaluation.pose_estimators import (
-    PIN_PLACES,
-    compute_pin_features,
-    fit_to_features,
-)
-from jaxunshear.evaluation.result_tables import combine_kinds, compute_recovery, finish_results
+from jaxunshear.evaluation.intervals import compute_recovery
+from jaxunshear.evaluation.pose_estimators import PIN_PLACES, compute_pin_features, fit_to_features
+from jaxunshear.evaluation.result_tables import combine_kinds, finish_results
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel
-from jaxunshear.metrics.pose_error import compute_pose_errors
+from jaxunshear.metrics.errors import compute_pose_errors
+from jaxunshear.perception.preprocess import prepare_frame
+from jaxunshear.progress import Progress
 from jaxunshear.results.run import Counts, Results
 
+BATCH = 32
 SEED = 0  # of the taps that align predictions with labels
 UNSHEARED_RAW_OFFSET = "unsheared_raw_zero"  # unsheared slides, aligned by taps as recorded
 METRIC = {
@@ -56,8 +61,48 @@ METRIC = {
     "readers": "mean absolute error of a kernel ridge that learnt from the pins of half of the "
     "recorded taps",
 }
-
+LABEL_TARGETS = {  # the predicted quantity that belongs to a label
+    "x_mm": "edge_mm",
+    "y_mm": "edge_mm",
+    "z_mm": "depth_mm",
+    "Rz_deg": "edge_deg",
+}
 Errors = dict[str, float]  # mean absolute errors by label
+
+
+class LabelAlignment(NamedTuple):
+    """label = sign * predicted target + offset."""
+
+    target: str
+    sign: int
+    offset: float
+
+    def apply(self, poses: dict[str, np.ndarray]) -> np.ndarray:
+        return self.sign * poses[self.target] + self.offset
+
+
+class ContactPredictions(NamedTuple):
+    """Predictions for N labelled contacts, from their images as recorded and unsheared.
+
+    All predictions are NaN for a contact that the networks rejected.
+    """
+
+    labels: np.ndarray  # (N, 6)
+    poses: dict[str, dict[str, np.ndarray]]  # (N,) by kind of image and quantity
+    pins: dict[str, np.ndarray]  # (N, P, 2) px by kind of image, of networks over pins
+
+    def select(self, rows: np.ndarray) -> "ContactPredictions":
+        return jax.tree.map(lambda values: values[rows], self)
+
+    @property
+    def accepted(self) -> np.ndarray:
+        """Which contacts (N,) have a prediction."""
+        return np.isfinite(next(iter(self.poses[AS_RECORDED].values())))
+
+    def select_pins(self, kind: str) -> tuple[np.ndarray, np.ndarray]:
+        """Select features and labels of the contacts whose pins were identified."""
+        identified = np.isfinite(self.pins[kind]).all(axis=(1, 2))
+        return compute_pin_features(self.pins[kind][identified]), self.labels[identified]
 
 
 class _Predictions(NamedTuple):
@@ -143,7 +188,6 @@ def _predict_all(
 
 
 def _score_networks(labels: Sequence[str], predictions: _Predictions) -> dict[str, Errors]:
-    """Compute the errors of the networks by kind of contact."""
     alignment_taps, taps, slides = predictions
 
     def align(kind: str) -> dict[str, LabelAlignment]:
@@ -176,7 +220,7 @@ def _score_ridge(labels: Sequence[str], predictions: _Predictions) -> dict[str, 
     alignment_taps, taps, slides = predictions
     if not alignment_taps.pins:
         return {}
-    features, poses = _select_contacts(alignment_taps, AS_RECORDED)
+    features, poses = alignment_taps.select_pins(AS_RECORDED)
     estimator = fit_to_features(features, {"pose": poses}, make_label_targets(labels, poses))
     if estimator is None:
         return {}
@@ -186,19 +230,12 @@ def _score_ridge(labels: Sequence[str], predictions: _Predictions) -> dict[str, 
         ("sheared", slides, AS_RECORDED),
         ("unsheared", slides, UNSHEARED),
     ):
-        features, poses = _select_contacts(contacts, kind)
+        features, poses = contacts.select_pins(kind)
         estimates = dict.fromkeys(list_target_names(estimator.targets), np.zeros(0))
         if len(features):
             estimates = estimator.estimate(features)
         errors[name] = _compute_mean_errors(estimates, poses)
     return {PIN_PLACES: errors}
-
-
-def _select_contacts(contacts: ContactPredictions, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Select the features and labels of the contacts whose pins were identified."""
-    pins = contacts.pins[kind]
-    identified = np.isfinite(pins).all(axis=(1, 2))
-    return compute_pin_features(pins[identified]), contacts.labels[identified]
 
 
 def _compute_mean_errors(poses: dict[str, np.ndarray], labels: np.ndarray) -> Errors:
@@ -220,3 +257,76 @@ def _count_contacts(predictions: _Predictions) -> Counts:
         unread_taps=rejected[0] + rejected[1],
         test_unsure=rejected[2],
     )
+
+
+def predict_contacts(
+    network: TrainedModel, contacts: RecordedContacts, title: str
+) -> ContactPredictions:
+    """Predict poses and pins of all contacts, a batch at a time."""
+    preprocess = network.preprocess
+    view = network.view or find_training_view(contacts, preprocess)
+    count = len(contacts.files)
+    batches = []
+    with Progress(title, count, "frames") as progress:
+        for start in range(0, count, BATCH):
+            files = contacts.files[start : start + BATCH]
+            # frames that cannot be read stay black, which networks reject
+            images = np.zeros((BATCH, preprocess.size, preprocess.size), np.uint8)
+            for index, file in enumerate(files):
+                with suppress(UserError):
+                    images[index] = prepare_frame(preprocess, read_image(file), view)
+            predictions = network.predict(images)
+            batches.append((predictions.poses, predictions.pins))
+            progress.advance(len(files))
+
+    def join(*parts: np.ndarray) -> np.ndarray:
+        return np.concatenate(parts, dtype=np.float64)[:count]
+
+    return ContactPredictions(contacts.pose, *jax.tree.map(join, *batches))
+
+
+def choose_scored_labels(poses: dict[str, np.ndarray], labels: np.ndarray) -> tuple[str, ...]:
+    """Choose the labels (N, 6) that vary and that a predicted quantity (N,) belongs to.
+
+    Raises UserError if none does, or if both x and y vary: along an edge the pose is not defined.
+    """
+    names = []
+    for name, target in LABEL_TARGETS.items():
+        if target in poses and np.ptp(get_label(name, labels)) > MIN_VARIATION:
+            names.append(name)
+    if not names or {"x_mm", "y_mm"} <= set(names):
+        raise UserError(
+            "these labels are not of a straight edge, across which x or y varies: "
+            "only such can be scored"
+        )
+    return tuple(names)
+
+
+def get_label(name: str, labels: np.ndarray) -> np.ndarray:
+    """Return one label (N,) of labels (N, 6)."""
+    _, column = RECORDED_FIELDS[name]
+    return labels[:, column]
+
+
+def align_to_labels(name: str, poses: dict[str, np.ndarray], labels: np.ndarray) -> LabelAlignment:
+    """Find the sign with the least scatter of one label, and the offset.
+
+    The offset is the median of the differences, or the mean direction of an angle's. `poses` (N,)
+    are NaN for taps without a prediction. Raises UserError if all are.
+    """
+    target = LABEL_TARGETS[name]
+    predicted, label = poses[target], get_label(name, labels)
+    finite = np.isfinite(predicted)
+    if not finite.any():
+        raise UserError("no tap could be read: these are not images of the model's sensor")
+    candidates = []
+    for sign in (1, -1):
+        offsets = label[finite] - sign * predicted[finite]
+        if name.endswith("_deg"):
+            mean = np.mean(np.exp(1j * np.radians(offsets)))
+            scatter, offset = 1 - abs(mean), float(np.degrees(np.angle(mean)))
+        else:
+            scatter, offset = float(np.std(offsets)), float(np.median(offsets))
+        candidates.append((scatter, LabelAlignment(target, sign, offset)))
+    _, best = min(candidates, key=lambda candidate: candidate[0])
+    return best

@@ -1,11 +1,16 @@
-"""Score the networks of a run on simulated contacts: held-out poses, and further tests."""
+"""Score the networks of a run on simulated contacts: held-out poses, and further tests.
+
+Networks over pins are given the simulator's true ones, and in a test of their own those that are
+detected in the images, as on a real sensor: each image is tracked by itself, and unsheared pins are
+compared with the tap's true ones.
+"""
 
 import dataclasses
 from collections.abc import Mapping
 from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -14,10 +19,11 @@ from jaxunshear.config.experiment import Experiment, list_further_tests
 from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import make_range_targets, read_true_values
+from jaxunshear.data.generation import read_metadata
+from jaxunshear.data.reader import Batch, Reader, open_set
 from jaxunshear.data.sources import Examples
 from jaxunshear.data.stored_sets import open_set, read_metadata
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.baselines import collect_training_taps
 from jaxunshear.evaluation.contact_scores import (
     BATCH,
     FIELDS,
@@ -27,9 +33,9 @@ from jaxunshear.evaluation.contact_scores import (
     TestSet,
     score_test,
 )
-from jaxunshear.evaluation.detected_pins import DETECTED, detect_pairs
+from jaxunshear.evaluation.evaluate import EvaluatedRun
 from jaxunshear.evaluation.measurements import BARS
-from jaxunshear.evaluation.network_outputs import load_run
+from jaxunshear.evaluation.network_outputs import collect_training_taps, load_run
 from jaxunshear.evaluation.pose_estimators import (
     PIN_PLACES,
     PIXELS,
@@ -45,16 +51,23 @@ from jaxunshear.evaluation.result_tables import (
     tabulate_by_size,
     tabulate_part,
 )
-from jaxunshear.evaluation.score_files import SMOOTH, EvaluatedRun
-from jaxunshear.metrics.pin_error import measure_pin_errors
+from jaxunshear.evaluation.score import SMOOTH
+from jaxunshear.metrics.errors import measure_pin_errors
 from jaxunshear.models.modality import IMAGES, PINS, get_modality
-from jaxunshear.perception.lattice_fitting import compute_rest_lattice
-from jaxunshear.results.run import Counts, FurtherTest, ResultBar, Results, Tables
+from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.pin_tracking import track_images
+from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.results.run import Counts, FurtherTest, Results, Tables
+from jaxunshear.selection import select_evenly
 from jaxunshear.simulator.scene import NEAR_MM, TURN_DEG, has_one_edge
 from jaxunshear.training.examples import open_examples
 
 # contacts whose pins are detected (50 ms an image), and from which the montage is chosen
 KEPT_CONTACTS = 72
+DETECTED = "found"  # the name of the test with detected pins
+MAX_PAIRS = 480  # slides of it, evenly chosen, each with its tap: some 15 ms an image
+DETECTED_TAP = "seen_tap"
+INPUTS = (*PINS.pair, DETECTED_TAP)  # the true tap, the detected slide and the detected tap
 EDGE = "edge_deg"
 METRIC_NOTES = {
     "pose_mae": "mean absolute error of a PoseNet trained on taps (sheared_learnt: on slides)",
@@ -68,6 +81,23 @@ METRIC_NOTES = {
     "pixels: their images; pins: their true pins, to read those found, and known by name, in "
     "the images that pin_error is of",
 }
+
+
+class DetectedPairs(NamedTuple):
+    """Test pairs in whose tap and slide all pins were identified."""
+
+    # detected `sheared_pins` and DETECTED_TAP, NaN if a pin is missing; true `canonical_pins`
+    pairs: Batch
+    # by "tap" and "sheared": share of images, error of their pins, number of missing ones
+    reported: dict[str, dict[str, float]]
+
+    def make_test(self) -> TestSet:
+        count = len(self.pairs[DETECTED_TAP])
+        batches: list[Batch] = []
+        for start in range(0, count, BATCH):
+            rows = slice(start, start + BATCH)
+            batches.append({name: values[rows] for name, values in self.pairs.items()})
+        return TestSet(batches, count, INPUTS, title="evaluate found pins")
 
 
 def evaluate_simulation(experiment: Experiment, run_dir: Path, data_dir: Path) -> EvaluatedRun:
@@ -97,8 +127,8 @@ def evaluate_simulation(experiment: Experiment, run_dir: Path, data_dir: Path) -
         true = read_true_values(scorer.targets, labels)
         found = score_detected_pins(estimators[PIN_PLACES], lattice, scores.images, true)
         scores = scores._replace(estimates=found)
-    elif modality is PINS and (detected := detect_pairs(pairs, lattice, FIELDS)):
-        found_scores = score_test(scorer, detected.make_test(BATCH))
+    elif modality is PINS and (detected := detect_pairs(pairs, lattice)):
+        found_scores = score_test(scorer, detected.make_test())
         further[DETECTED] = mark_smooth(found_scores, paired)
         followed[DETECTED] = detected.reported
     results = build_simulated_results(experiment, scores, further, followed)
@@ -157,15 +187,10 @@ def build_simulated_results(
 ) -> Results:
     """Build the results that follow from the scores; the same scores give the same bits.
 
-    Args:
-        experiment: The run's.
-        scores: Of the main test.
-        further: Scores of further tests, by name.
-        followed: What detection gave of the pins of further tests, by name.
+    By name of further tests, `further` are their scores, `followed` what detection gave of pins.
     """
     paired, pose = experiment.paired.get_simulated("this"), cast(PoseData, experiment.pose)
-    settings = list_further_tests(experiment) | {DETECTED: paired}
-    size, images = paired.preprocess.size, len(scores.kept_rows)
+    size, images, labels = paired.preprocess.size, len(scores.kept_rows), scores.labels
     similarity = describe_similarity(size)
     metric = similarity | METRIC_NOTES
     metric["swap"] = f"{similarity['swap']} with its target"
@@ -180,13 +205,18 @@ def build_simulated_results(
             scores.pins[PINS.sheared],
             paired.camera.mm_across / size,
         ),
-        tests={
-            name: _build_further_test(settings[name], test, followed.get(name))
-            for name, test in further.items()
-        },
-        contact=summarise_contact_quality({name: scores.labels[name] for name in QUALITY}),
-        counts=_count_contacts(paired, scores),
-        bars={name: ResultBar(*bar) for name, bar in BARS.items()},
+        tests=_build_further_tests(experiment, further, followed),
+        contact=summarise_contact_quality({name: labels[name] for name in QUALITY}),
+        counts=Counts(
+            test_poses=len(np.unique(scores.poses)),
+            test_by_stimulus={
+                name: int(np.sum(labels["stimulus"] == index))
+                for index, name in enumerate(paired.names)
+            },
+            test_smooth=int(labels[SMOOTH].sum()) if SMOOTH in labels else None,
+            pin_images=len(scores.kept_rows),
+        ),
+        bars=BARS,
         seeds={
             "experiment": experiment.seed,
             "paired": paired.seed,
@@ -196,37 +226,27 @@ def build_simulated_results(
     )
 
 
-def _count_contacts(paired: PairedData, scores: ContactScores) -> Counts:
-    labels = scores.labels
-    return Counts(
-        test_poses=len(np.unique(scores.poses)),
-        test_by_stimulus={
-            name: int(np.sum(labels["stimulus"] == index))
-            for index, name in enumerate(paired.names)
-        },
-        test_smooth=int(labels[SMOOTH].sum()) if SMOOTH in labels else None,
-        pin_images=len(scores.kept_rows),
-    )
-
-
-def _build_further_test(
-    settings: PairedData,
-    scores: ContactScores,
-    followed: Mapping[str, Mapping[str, float]] | None,
-) -> FurtherTest:
-    """Build the tables of a further test, with the settings of its data."""
-    return FurtherTest(
-        stimuli=settings.names,
-        tap_depth_jitter_mm=settings.tap_depth_jitter_mm,
-        ranges=dataclasses.asdict(settings.ranges),
-        contacts=scores.total,
-        followed=followed,
-        **vars(_build_tables(settings, scores)),
-    )
+def _build_further_tests(
+    experiment: Experiment,
+    further: Mapping[str, ContactScores],
+    followed: Mapping[str, Mapping[str, Mapping[str, float]]],
+) -> dict[str, FurtherTest]:
+    paired = experiment.paired.get_simulated("this")
+    settings = list_further_tests(experiment) | {DETECTED: paired}
+    tests = {}
+    for name, scores in further.items():
+        tests[name] = FurtherTest(
+            stimuli=settings[name].names,
+            tap_depth_jitter_mm=settings[name].tap_depth_jitter_mm,
+            ranges=dataclasses.asdict(settings[name].ranges),
+            contacts=scores.total,
+            followed=followed.get(name),
+            **vars(_build_tables(settings[name], scores)),
+        )
+    return tests
 
 
 def _build_tables(settings: PairedData, contacts: ContactScores) -> Tables:
-    """Build all tables of one test."""
     scores, labels, ranges = contacts.scores, contacts.labels, settings.ranges
     pin_errors, edge_angles = {}, {}
     for name, score in scores.items():
@@ -268,4 +288,40 @@ def summarise_contact_quality(fields: Mapping[str, np.ndarray]) -> dict[str, dic
             "max": float(np.max(values)),
         }
         for name, values in fields.items()
+    }
+
+
+def detect_pairs(reader: Reader, lattice: Lattice) -> DetectedPairs | None:
+    """Detect the pins of test pairs; None if no pair is identified, as in images without pins."""
+    rows = select_evenly(reader.length("test"), MAX_PAIRS)
+    batch = reader.take("test", rows, FIELDS)
+    reported: dict[str, dict[str, float]] = {}
+    detected: dict[str, np.ndarray] = {}
+    both_identified = np.ones(len(rows), bool)
+    fields_by_kind = zip(("tap", "sheared"), IMAGES.pair, PINS.pair, strict=True)
+    for kind, image_field, pin_field in fields_by_kind:
+        motion, identified = track_images(lattice, batch[image_field][..., 0], independent=True)
+        pins = (lattice.rest + motion).astype(np.float32)
+        reported[kind] = _measure_detection(pins[identified], batch[pin_field][identified], rows)
+        detected[kind] = pins
+        both_identified &= identified
+    if not both_identified.any():
+        return None
+    pairs = {name: values for name, values in batch.items() if name not in IMAGES.pair}
+    pairs |= {PINS.sheared: detected["sheared"], DETECTED_TAP: detected["tap"]}
+    return DetectedPairs(
+        {name: values[both_identified] for name, values in pairs.items()}, reported
+    )
+
+
+def _measure_detection(
+    detected: np.ndarray, true: np.ndarray, images: np.ndarray
+) -> dict[str, float]:
+    present = np.isfinite(detected).all(-1)
+    squares = np.sum(np.square(detected - true), axis=-1)[present]
+    return {
+        "images": len(images),
+        "followed": len(detected) / len(images),
+        "rms_px": float(np.sqrt(squares.mean())) if len(squares) else float("nan"),
+        "missing_per_image": float((~present).sum() / max(len(detected), 1)),
     }

@@ -21,14 +21,14 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes, write_text
 from jaxunshear.inference.forward import BATCH, UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel, load_model
-from jaxunshear.metrics.machine import describe_machine, list_versions
-from jaxunshear.metrics.pose_error import compute_pose_errors
+from jaxunshear.metrics.errors import compute_pose_errors
 from jaxunshear.output_checks import check_not_among
 from jaxunshear.perception.drawing import encode_png, to_uint8
 from jaxunshear.perception.preprocess import prepare_frame
 from jaxunshear.perception.sensor_check import invert_image, judge_images
 from jaxunshear.progress import Progress
 from jaxunshear.results.measurement import Measured, Measurement
+from jaxunshear.results.provenance import describe_machine, list_versions
 from jaxunshear.serialization import format_csv
 
 LABELS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")

@@ -8,11 +8,10 @@ from markupsafe import Markup, escape
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
 from jaxunshear.report import html
+from jaxunshear.report.application_figures import METHOD_TITLES, PICTURES
 from jaxunshear.report.html import format_number, format_with_interval
-from jaxunshear.report.object_figure import PICTURES
-from jaxunshear.report.trajectory_figure import METHOD_TITLES
 from jaxunshear.report.wording import section
-from jaxunshear.results.folders import find_results_folder
+from jaxunshear.results.record_files import find_results_folder
 
 KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
     name: title for name, title in METHOD_TITLES.items() if "unsheared" in title

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 
-from jaxunshear.evaluation.code_exchange import ExchangedCodes
+from jaxunshear.evaluation.codes import ExchangedCodes
 from jaxunshear.files import Json
 from jaxunshear.style import encode_png
 

@@ -17,7 +17,7 @@ from jaxunshear.style import encode_png
 MISSING = (255, 122, 26)  # orange: only the tap is bright
 SURPLUS = (64, 150, 255)  # blue: only the image is bright
 MAX_LETTERS = 22  # in one line of a heading above an image
-MontageImages = dict[str, np.ndarray]  # as `evaluation.score_files.encode_montage` writes it
+MontageImages = dict[str, np.ndarray]  # as `evaluation.evaluate.encode_montage` writes it
 
 
 class Cell(NamedTuple):
@@ -91,7 +91,6 @@ def _select_typical(images: MontageImages) -> tuple[list[int], list[int]]:
 
 
 def _make_cells(images: MontageImages, row: int, words: Wording) -> list[Cell]:
-    """Make the images of a contact, with the likenesses below them."""
     network, target = choose_main_kind(images), words.target
     sheared, unsheared, tap = images["sheared"][row], images[network][row], images["tap"][row]
     truth = "tap (truth)" if target == "tap" else target

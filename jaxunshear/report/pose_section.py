@@ -1,7 +1,5 @@
 """The section of a run's page on poses: errors by kind of contact, and recovery."""
 
-from collections.abc import Mapping
-
 from markupsafe import Markup
 
 from jaxunshear.evaluation.score import choose_main_kind
@@ -9,7 +7,7 @@ from jaxunshear.report import html, wording
 from jaxunshear.report.html import format_cells, format_number
 from jaxunshear.report.score_sections import describe_differences, judge_difference
 from jaxunshear.report.wording import Wording
-from jaxunshear.results.run import PartPoses, Parts, Results, Span
+from jaxunshear.results.run import Parts, Results, Span
 
 UNSHEARED_ALIAS = "unsheared"  # in recorded results: the run's main network, once more
 ARROW = " \u2192 "
@@ -104,16 +102,13 @@ def _build_parts(results: Results, words: Wording, parts: Parts | None, by: str)
             cells = format_cells(part.pose_recovery[kind], spread, dict.fromkeys(names, 2))
             rows.append([name, *cells])
         elif part and {"sheared", kind} <= set(part.pose_mae):
-            rows.append([name, *_format_error_changes(part, kind, words.digits)])
+            before, after = part.pose_mae["sheared"], part.pose_mae[kind]
+            cells = []
+            for quantity, digits in names.items():
+                shown = [format_number(errors[quantity], digits) for errors in (before, after)]
+                cells.append(ARROW.join(shown))
+            rows.append([name, *cells])
     return html.folded(f"By {by}", html.table(head, rows)) if rows else Markup()
-
-
-def _format_error_changes(part: PartPoses, kind: str, digits: Mapping[str, int]) -> list[str]:
-    before, after = part.pose_mae["sheared"], part.pose_mae[kind]
-    return [
-        f"{format_number(before[name], count)}{ARROW}{format_number(after[name], count)}"
-        for name, count in digits.items()
-    ]
 
 
 def _describe_differences(results: Results, words: Wording) -> list[Markup]:

@@ -1,10 +1,12 @@
 """Sections of a page on recordings: what they are, pairs of contacts and error bounds."""
 
+from typing import cast
+
 from markupsafe import Markup
 
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import Target
-from jaxunshear.evaluation.conformal import ELSEWHERE_NOTE
+from jaxunshear.evaluation.intervals import ELSEWHERE_NOTE
 from jaxunshear.evaluation.recorded_results import describe_test
 from jaxunshear.report import html, wording
 from jaxunshear.report.html import format_number
@@ -72,18 +74,15 @@ def build_pairing_section(results: Results, words: Wording) -> Markup:
         return Markup()
     rows = []
     for split, gaps in results.pairing.gaps.items():
-        rows.append(
-            [split, str(gaps["pairs"]), *(_format_gap(gaps[name]) for name in words.digits)]
-        )
+        cells = [str(gaps["pairs"])]
+        for name in words.digits:
+            gap = cast(Scores, gaps[name])
+            cells.append(f"{format_number(gap['median'])} ({format_number(gap['p95'])})")
+        rows.append([split, *cells])
     head = ["pose of the partner off by", "pairs", *map(wording.format_heading, words.digits)]
     note = html.soft(TEXTS["sections"]["pairing"]["note"])
     pairing = TEXTS["pairing"][results.pairing.way]
     return wording.section("pairing", html.table(head, rows), note, pairing=pairing)
-
-
-def _format_gap(gap: Scores | int) -> str:
-    assert not isinstance(gap, int)
-    return f"{format_number(gap['median'])} ({format_number(gap['p95'])})"
 
 
 def build_bounds_section(results: Results, words: Wording) -> Markup:

@@ -6,11 +6,13 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from jaxunshear.config.registry import UNSHEARING
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import write_bytes, write_text
+from jaxunshear.progress import format_duration
 from jaxunshear.report import (
     applications,
-    headlines,
     html,
     montage,
     pose_section,
@@ -19,11 +21,12 @@ from jaxunshear.report import (
     training_sections,
     wording,
 )
-from jaxunshear.report.history import Trainings, read_trainings
+from jaxunshear.report.html import format_number
 from jaxunshear.report.wording import Wording
-from jaxunshear.results.record_files import read_record
+from jaxunshear.results.record_files import read_record, read_times
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
-from jaxunshear.results.times import read_times
+
+QUANTITIES = {"edge_mm": "distance to the edge"}  # with names of their own on cards
 
 
 def write_report(run_dir: Path) -> Path:
@@ -35,12 +38,29 @@ def write_report(run_dir: Path) -> Path:
     run_dir = Path(run_dir)
     results = read_record(run_dir / "results.json", Results, EVALUATE_REMEDY)
     results = replace(results, time_s={**results.time_s, **read_times(run_dir)})
-    trainings = read_trainings(run_dir)
+    trainings = training_sections.read_trainings(run_dir)
     try:
         words = wording.describe(results)
         images = montage.read_montage(run_dir / "montage.npz") if results.ms_ssim else None
-        shown = montage.build_section(images, words) if images else Markup()
-        sections = list(_build_sections(run_dir, results, words, shown, trainings))
+        sections = [  # in the order of the page; empty ones have nothing to show
+            html.opening(results.experiment, results.claim, wording.write_lead(results, words)),
+            build_headlines(results, words),
+            montage.build_section(images, words) if images else Markup(),
+            score_sections.build_similarity_section(results, words),
+            pose_section.build_pose_section(results, words),
+            score_sections.build_estimators_section(results, words),
+            score_sections.build_further_tests(results, words),
+            score_sections.build_pin_section(results, words),
+            recordings_section.build_recordings_section(results),
+            recordings_section.build_pairing_section(results, words),
+            recordings_section.build_bounds_section(results, words),
+            score_sections.build_swap_section(results, words),
+            *applications.build_sections(run_dir),
+            training_sections.build_training_section(trainings),
+            training_sections.build_times_section(results, words, trainings),
+            training_sections.build_contacts_section(results),
+            training_sections.build_provenance_section(results),
+        ]
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
     if images:
@@ -50,24 +70,79 @@ def write_report(run_dir: Path) -> Path:
     return path
 
 
-def _build_sections(
-    run_dir: Path, results: Results, words: Wording, shown: Markup, trainings: Trainings
-) -> Iterator[Markup]:
-    """Yield the sections in the order of the page; empty ones have nothing to show."""
-    yield html.opening(results.experiment, results.claim, wording.write_lead(results, words))
-    yield headlines.build_headlines(results, words)
-    yield shown
-    yield score_sections.build_similarity_section(results, words)
-    yield pose_section.build_pose_section(results, words)
-    yield score_sections.build_estimators_section(results, words)
-    yield score_sections.build_further_tests(results, words)
-    yield score_sections.build_pin_section(results, words)
-    yield recordings_section.build_recordings_section(results)
-    yield recordings_section.build_pairing_section(results, words)
-    yield recordings_section.build_bounds_section(results, words)
-    yield score_sections.build_swap_section(results, words)
-    yield from applications.build_sections(run_dir)
-    yield training_sections.build_training_section(trainings)
-    yield training_sections.build_times_section(results, words, trainings)
-    yield training_sections.build_contacts_section(results)
-    yield training_sections.build_provenance_section(results)
+def build_headlines(results: Results, words: Wording) -> Markup:
+    """Build the cards at the top of a run's page."""
+    build = {
+        "likeness": _build_similarity_cards,
+        "errors": _build_error_cards,
+        "pins": _build_pin_cards,
+        "recovery": _build_recovery_cards,
+    }
+    cards = [card for name in words.cards for card in build[name](results, words)]
+    machine, total = results.machine, format_duration(sum(results.time_s.values()))
+    note = f"sum of its stages; {machine.cores} cores, {machine.device.split(':')[0]}"
+    return html.cards(*cards, html.card("Entire run", "", total, note))
+
+
+def _build_similarity_cards(results: Results, words: Wording) -> Iterator[Markup]:
+    """Build the card of likeness; only a run with a network that unshears has a bar to clear."""
+    if not results.ms_ssim:
+        return
+    kind = choose_main_kind(results.ms_ssim)
+    sheared, after = results.ms_ssim["sheared"]["overall"], results.ms_ssim[kind]["overall"]
+    note = "; ".join(filter(None, (words.modality.drawn, words.likeness_note)))
+    ok = None
+    low = results.bars.get(f"ms_ssim.{kind}.overall")
+    high = results.bars.get("ms_ssim.sheared.overall")
+    if low and high and kind != "sheared":
+        note = f"at least {low.bar:.2f} unsheared, at most {high.bar:.2f} sheared"
+        ok = low.is_met(after) and high.is_met(sheared)
+    title = f"Likeness to the {words.target} ({results.metric['ms_ssim']})"
+    yield html.card(title, format_number(sheared), format_number(after), note, ok)
+
+
+def _build_error_cards(results: Results, words: Wording) -> Iterator[Markup]:
+    """Build a card for each main quantity; notes compare taps and direct prediction, or a bar."""
+    pose = results.pose_mae
+    kinds = (*reversed(UNSHEARING), "sheared_learnt", "sheared", "tap")
+    kind = next((kind for kind in kinds if kind in pose), None)
+    if kind is None:
+        return
+    for quantity in words.main_targets:
+        before, after = "", _format_error(pose[kind][quantity], quantity)
+        if kind not in ("sheared", "tap") and "sheared" in pose:
+            before = _format_error(pose["sheared"][quantity], quantity)
+        notes = [words.card_notes[kind]] if kind in words.card_notes else []
+        for other in ("tap", "sheared_learnt"):
+            if other in words.card_notes and other in pose and other != kind:
+                error = _format_error(pose[other][quantity], quantity)
+                notes.append(f"{words.card_notes[other]}: {error}")
+        ok = None
+        if bar := results.bars.get(f"pose_ratio.{kind}.{quantity}"):
+            notes = [f"at most {bar.bar:g} of the sheared error"]
+            ok = bar.is_met(results.pose_ratio[kind][quantity])
+        name = QUANTITIES.get(quantity) or wording.name_quantity(quantity)
+        after = f"{after} {wording.get_unit(quantity)}"
+        yield html.card(f"Error in {name}", before, after, ", ".join(notes), ok)
+
+
+def _format_error(value: float | None, quantity: str) -> str:
+    return format_number(value, 2 if wording.get_unit(quantity) == "mm" else 1)
+
+
+def _build_pin_cards(results: Results, words: Wording) -> Iterator[Markup]:
+    pins, kind = results.pin_error, choose_main_kind(results.ms_ssim)
+    before = format_number(pins["true_slide"]["rms_px"], 1)
+    after = f"{format_number(pins[kind]['rms_px'], 2)} px"
+    note = f"of {results.metric['image_px']} px; root mean square"
+    yield html.card(f"Pins away from the {words.target}'s", before, after, note)
+
+
+def _build_recovery_cards(results: Results, words: Wording) -> Iterator[Markup]:
+    recovery = results.pose_recovery.get(choose_main_kind(results.pose_recovery))
+    if recovery:
+        quantities = words.main_targets
+        values = ", ".join(format_number(recovery[quantity]) for quantity in quantities)
+        names = ", ".join(map(wording.name_quantity, quantities))
+        note = f"{names}; 1 is as good as taps, 0 as bad as slides as felt"
+        yield html.card("Recovery", "", values, note)

@@ -1,7 +1,5 @@
 """Sections of a run's page on its scores, image by image, beside the paper's figures."""
 
-from collections.abc import Mapping
-
 from markupsafe import Markup
 
 from jaxunshear.report import html, wording
@@ -80,10 +78,8 @@ def judge_difference(interval: Span, better: int) -> str:
 
 def build_further_tests(results: Results, words: Wording) -> Markup:
     """Build a section for each further test, such as other shapes or taps at other depths."""
-    sections = []
-    for name, test in results.tests.items():
-        sections.append(_build_further_test(name, test, words))
-    return Markup().join(sections)
+    tests = results.tests.items()
+    return Markup().join(_build_further_test(name, test, words) for name, test in tests)
 
 
 def _build_further_test(name: str, test: FurtherTest, words: Wording) -> Markup:
@@ -177,7 +173,11 @@ def build_estimators_section(results: Results, words: Wording) -> Markup:
     for estimator, kinds in results.readers.items():
         title = ESTIMATORS[estimator]
         for kind, errors in kinds.items():
-            count = _format_image_count(results.reader_images[estimator][kind])
+            images = results.reader_images[estimator][kind]
+            count = str(images["read"])
+            if images["left_out"]:
+                form = Markup("{} <small>{} left out</small>")
+                count = form.format(images["read"], images["left_out"])
             cells = format_cells(errors, results.spread.readers[estimator][kind], digits)
             rows.append([title, words.kinds[kind], count, *cells])
             title = ""  # only the first row of an estimator bears its name
@@ -190,9 +190,3 @@ def build_estimators_section(results: Results, words: Wording) -> Markup:
     intervals = wording.describe_intervals(results)
     body = html.table(head, rows), note
     return wording.section("estimators", *body, taps=learnt and f" ({learnt})", intervals=intervals)
-
-
-def _format_image_count(images: Mapping[str, int]) -> str:
-    if not images["left_out"]:
-        return str(images["read"])
-    return Markup("{} <small>{} left out</small>").format(images["read"], images["left_out"])

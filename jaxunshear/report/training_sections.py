@@ -1,21 +1,31 @@
-"""Sections of a run's page on its making: training, times, contacts and provenance."""
+"""Sections of a run's page on its making: training, times, contacts and provenance.
+
+Training logs hold one JSON object per validation.
+"""
 
 import json
+import warnings
 from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
 
 from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from jaxunshear.config.registry import TRAINABLE
+from jaxunshear.errors import Note
+from jaxunshear.files import Json, check_and_remove_checksum
 from jaxunshear.progress import format_duration
 from jaxunshear.report import html, wording
-from jaxunshear.report.figures import encode_svg, make_panels
-from jaxunshear.report.history import History, Trainings
 from jaxunshear.report.wording import Wording
+from jaxunshear.results.measurement import TrainingSummary
+from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
 from jaxunshear.serialization import to_builtins
-from jaxunshear.style import ABREAST, COLOURS, INK, STYLE
+from jaxunshear.style import ABREAST, COLOURS, INK, STYLE, encode_svg, make_panels
 
+RETRAIN_REMEDY = "delete it, then run the same experiment again, which goes on from the checkpoint"
 DASHES = ("-", "--", ":")
 CONTACT_TITLES = {
     "residual_mm": "solver residual, mm",
@@ -24,6 +34,22 @@ CONTACT_TITLES = {
     "slipping": "nodes slipping",
     "free": "nodes free",
 }
+
+
+class History(NamedTuple):
+    """V validations of one network; all lists are of length V."""
+
+    epoch: list[float]
+    train_seconds: list[float]
+    training: dict[str, list[float]]  # losses by name
+    validation: dict[str, list[float]]
+
+
+class Trainings(NamedTuple):
+    """The logs and the summaries of a run's trainings, by network."""
+
+    histories: dict[str, History]
+    summaries: dict[str, TrainingSummary]
 
 
 def build_training_section(trainings: Trainings) -> Markup:
@@ -54,7 +80,12 @@ def build_times_section(results: Results, words: Wording, trainings: Trainings) 
     if stages:
         text = "; ".join(f"{name} {value:.0f} s" for name, value in stages.items())
         figures.append(html.embed_svg(_plot_stage_times(stages), text))
-    for name, label in _list_validation_errors(words).items():
+    # figures of the validation that are plotted over seconds of training
+    labels = {"supervised": f"unsheared {words.modality.output}, MSE"}
+    for name in words.main_targets:
+        quantity, unit = wording.name_quantity(name), wording.get_unit(name)
+        labels[name] = words.validation_error.format(quantity=quantity, unit=unit)
+    for name, label in labels.items():
         curves = {
             key: history
             for key, history in trainings.histories.items()
@@ -65,25 +96,13 @@ def build_times_section(results: Results, words: Wording, trainings: Trainings) 
             figures.append(html.embed_svg(_plot_error(curves, name, label), text))
     waits = []
     for name, times in results.ms_per_image.items():
-        median, p95 = _format_ms(times["median"]), _format_ms(times["p95"])
+        median, p95 = [
+            f"{ms:.1f}" if ms >= 1 else f"{ms:.2g}" for ms in (times["median"], times["p95"])
+        ]
         waits.append(f"{name} {median} ms (95th percentile {p95})")
     text = f"One image at a time, compilation apart: {'; '.join(waits)}."
     note = html.soft(text) if waits else ""
     return wording.section("times", html.row(*figures), note)
-
-
-def _format_ms(milliseconds: float) -> str:
-    return f"{milliseconds:.1f}" if milliseconds >= 1 else f"{milliseconds:.2g}"
-
-
-def _list_validation_errors(words: Wording) -> dict[str, str]:
-    """Give the label of each validation figure that is plotted over seconds of training."""
-    titles = {"supervised": f"unsheared {words.modality.output}, MSE"}
-    for name in words.main_targets:
-        titles[name] = words.validation_error.format(
-            quantity=wording.name_quantity(name), unit=wording.get_unit(name)
-        )
-    return titles
 
 
 def build_contacts_section(results: Results) -> Markup:
@@ -127,7 +146,6 @@ def build_provenance_section(results: Results) -> Markup:
 
 
 def _plot_losses(histories: Mapping[str, History]) -> str:
-    """Plot the losses of training and validation over epochs, a panel per network."""
     columns = min(ABREAST, len(histories))
     with rc_context(STYLE):
         figure, panels = make_panels(len(histories), columns, (3.4, 2.8))
@@ -146,7 +164,6 @@ def _plot_losses(histories: Mapping[str, History]) -> str:
 
 
 def _plot_error(histories: Mapping[str, History], name: str, label: str) -> str:
-    """Plot the validation figure `name` of each network over seconds of training."""
     with rc_context(STYLE):
         figure = Figure(figsize=(3.4, 2.6), layout="constrained")
         axes = figure.subplots()
@@ -161,7 +178,6 @@ def _plot_error(histories: Mapping[str, History], name: str, label: str) -> str:
 
 
 def _plot_stage_times(seconds: Mapping[str, float]) -> str:
-    """Plot the wall clock of each stage as bars, in order."""
     with rc_context(STYLE):
         figure = Figure(figsize=(6.6, 0.6 + 0.3 * len(seconds)), layout="constrained")
         axes = figure.subplots()
@@ -173,3 +189,62 @@ def _plot_stage_times(seconds: Mapping[str, float]) -> str:
         axes.invert_yaxis()
         axes.grid(False, axis="y")
         return encode_svg(figure)
+
+
+def read_trainings(run_dir: Path) -> Trainings:
+    """Read the logs and summaries of the networks that have a log. Raises UserError."""
+    trainings = Trainings({}, {})
+    for name in TRAINABLE:
+        history = read_history(run_dir / name / "log.jsonl")
+        if history is not None:
+            trainings.histories[name] = history
+            summary = run_dir / name / "summary.json"
+            if summary.exists():
+                record = read_record(summary, TrainingSummary, RETRAIN_REMEDY)
+                trainings.summaries[name] = record
+    return trainings
+
+
+def read_lines(path: Path) -> list[Json]:
+    """Read the lines of a training log that hold a validation; none if there is no log.
+
+    Damaged lines are left out, with a note.
+    """
+    try:
+        rows = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return []
+    validations = []
+    for row in rows:
+        try:
+            line = check_and_remove_checksum(json.loads(row))
+        except ValueError:
+            continue
+        if isinstance(line, dict) and "train_seconds" in line and "epoch" in line:
+            validations.append(line)
+    if damaged := len(rows) - len(validations):
+        text = f"{path} is damaged: {damaged} of its lines are left out"
+        warnings.warn(text, Note, stacklevel=2)
+    return validations
+
+
+def read_history(path: Path) -> History | None:
+    """Read the training log at `path`; None if it does not exist or has no validation."""
+    lines = read_lines(path)
+    if not lines:
+        return None
+    return History(
+        [line["epoch"] for line in lines],
+        [line["train_seconds"] for line in lines],
+        _collect_columns([line.get("train", {}) for line in lines]),
+        _collect_columns([line.get("validation", {}) for line in lines]),
+    )
+
+
+def _collect_columns(rows: list[Json]) -> dict[str, list[float]]:
+    """Collect the values of each name for which every row has a number."""
+    columns = {}
+    for name in rows[0]:
+        if all(isinstance(row.get(name), int | float) for row in rows):
+            columns[name] = [float(row[name]) for row in rows]
+    return columns

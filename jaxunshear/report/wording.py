@@ -21,8 +21,8 @@ from jaxunshear.results.run import FullTable, Results, Tables
 
 FILE = Path(__file__).with_suffix(".toml")
 TEXTS: Json = tomllib.loads(FILE.read_text(encoding="utf-8"))
+# unlike x and yaw, these are not ambiguous along an edge
 QUANTITIES = {"edge_mm": "edge distance", "edge_deg": "edge angle"}
-EDGE = ("edge_mm", "edge_deg")  # unlike x and yaw, these are not ambiguous along an edge
 EDGE_NOTE = (
     " x and yaw are ambiguous along a smooth edge; the distance to the edge and its local angle "
     "are not."
@@ -153,7 +153,7 @@ def list_targets(results: Results) -> list[str]:
 def list_main_targets(results: Results) -> list[str]:
     """List the quantities with which the page begins."""
     names = list_targets(results)
-    return [name for name in EDGE if name in names] or names[:MAX_CARDS]
+    return [name for name in QUANTITIES if name in names] or names[:MAX_CARDS]
 
 
 def name_quantity(name: str) -> str:

@@ -5,13 +5,14 @@
 """
 
 import re
+import warnings
 from pathlib import Path
 from typing import TypeVar
 
 import msgspec
 
-from jaxunshear.errors import UserError
-from jaxunshear.files import read_json, write_json
+from jaxunshear.errors import Note, UserError
+from jaxunshear.files import read_json, read_object, write_json
 from jaxunshear.serialization import to_builtins
 
 SCHEMA = 1  # of all records; a file without one has this first schema
@@ -47,3 +48,24 @@ def convert_record(content: object, kind: type[Record], source: object, remedy: 
     except msgspec.ValidationError as error:
         lacks = re.sub(r"Object missing required field `(\w+)`", r"'\1'", str(error))
         raise UserError(f"{source} lacks {lacks}: {remedy}") from error
+
+
+TIMES = "times.json"
+
+
+def read_times(run_dir: Path) -> dict[str, float]:
+    """Read the seconds of each stage; a damaged file gives none, with a note."""
+    path = Path(run_dir) / TIMES
+    try:
+        return read_object(path) if path.exists() else {}
+    except UserError as error:
+        warnings.warn(f"{error}; its times are left out", Note, stacklevel=2)
+        return {}
+
+
+SHARED_FOLDERS = {"reconstruct": "servo"}  # it continues from the results of `servo`
+
+
+def find_results_folder(run: Path, command: str) -> Path:
+    """Find the folder of a run in which `command` writes its results."""
+    return run / SHARED_FOLDERS.get(command, command)

@@ -161,7 +161,6 @@ class ResultBar:
     bar: float
 
     def is_met(self, value: float | None) -> bool:
-        """Say whether a figure clears the bar."""
         if value is None:
             return False
         return value >= self.bar if self.sense == ">=" else value <= self.bar

@@ -35,7 +35,6 @@ class Outcome(Costs):
 
     @property
     def evaluated_results(self) -> Results:
-        """Return the results of a row that is done."""
         assert self.results is not None
         return self.results
 

@@ -9,8 +9,6 @@ import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import zip_longest
-from typing import NamedTuple
 
 from jaxunshear.config.configs import compute_digest
 from jaxunshear.config.experiment import Experiment
@@ -33,6 +31,7 @@ from jaxunshear.config.sweep import (
 from jaxunshear.errors import UserError
 
 MAX_NAME_LENGTH = 90  # of a folder, before its digest
+Changes = tuple[Change, ...]
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class Cell:
 
     label: str  # "patch=0.1, pose_channels:shear_channels=8:120"; "base" if nothing changes
     point: tuple[str, ...] | None  # printed values along the axes; None outside the grid
-    changes: tuple[Change, ...]
+    changes: Changes
     experiment: Experiment  # with the base's seed
 
 
@@ -54,38 +53,34 @@ class Row:
     experiment: Experiment
 
 
-class Variation(NamedTuple):
-    """The changes of one cell to the base."""
-
-    label: str | None  # None if the sweep gives none
-    point: tuple[str, ...] | None  # as in `Cell`
-    changes: tuple[Change, ...]
-
-
 def list_cells(sweep: Sweep) -> list[Cell]:
     """List the grid, the last axis fastest, then the explicit rows; each cell once.
 
     Raises `UserError` if a cell cannot be run, or two different cells have the same label.
     """
     cells: dict[str, Cell] = {}
-    for variation in _list_variations(sweep):
-        label = variation.label or _describe_changes(variation.changes, sweep) or "base"
-        experiment = _apply_changes(sweep, variation.changes, label)
-        cell = Cell(label, variation.point, variation.changes, experiment)
-        if label in cells and cells[label].experiment != cell.experiment:
+
+    def add_cell(label: str | None, point: tuple[str, ...] | None, changes: Changes) -> None:
+        changed = ", ".join(
+            f"{format_field_name(fields, sweep)}={format_value_label(fields, value)}"
+            for fields, value in changes
+        )
+        label = label or changed or "base"
+        cell = Cell(label, point, changes, _apply_changes(sweep, changes, label))
+        if cells.setdefault(label, cell).experiment != cell.experiment:
             raise UserError(
                 f"sweep {sweep.name}: two different cells are both called '{label}': name their "
                 "sensors and outlines apart"
             )
-        cells.setdefault(label, cell)
+
+    names = [fields for fields, _ in sweep.grid]
+    if sweep.grid or not sweep.rows:
+        for values in itertools.product(*(values for _, values in sweep.grid)):
+            changes = tuple(zip(names, values, strict=True))
+            add_cell(None, tuple(itertools.starmap(format_value_label, changes)), changes)
+    for given, row in itertools.zip_longest(sweep.labels, sweep.rows):
+        add_cell(given, None, row)
     return list(cells.values())
-
-
-def _describe_changes(changes: tuple[Change, ...], sweep: Sweep) -> str:
-    return ", ".join(
-        f"{format_field_name(fields, sweep)}={format_value_label(fields, value)}"
-        for fields, value in changes
-    )
 
 
 def list_rows(sweep: Sweep, cells: list[Cell]) -> dict[tuple[str, int], Row]:
@@ -129,9 +124,10 @@ def find_reference(sweep: Sweep, cells: list[Cell]) -> str | None:
     """
     if sweep.reference is not None:
         if all(cell.label != sweep.reference for cell in cells):
+            labels = "; ".join(f"'{cell.label}'" for cell in cells[:4])
             raise UserError(
                 f"sweep {sweep.name}: there is no cell '{sweep.reference}' for sweep.reference: "
-                f"{_list_some_labels(cells)}"
+                f"use one of {labels}{'; ...' if len(cells) > 4 else ''}"
             )
         return sweep.reference
     if len(cells) < 2:
@@ -170,18 +166,7 @@ def split_change(fields: Fields, value: Value) -> Iterator[tuple[str, Value]]:
     return zip(list_fields(fields), (value,) if isinstance(fields, str) else value, strict=True)
 
 
-def _list_variations(sweep: Sweep) -> Iterator[Variation]:
-    names = [fields for fields, _ in sweep.grid]
-    if sweep.grid or not sweep.rows:
-        for values in itertools.product(*(values for _, values in sweep.grid)):
-            changes = tuple(zip(names, values, strict=True))
-            point = tuple(format_value_label(fields, value) for fields, value in changes)
-            yield Variation(None, point, changes)
-    for label, row in zip_longest(sweep.labels, sweep.rows):
-        yield Variation(label, None, row)
-
-
-def _apply_changes(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Experiment:
+def _apply_changes(sweep: Sweep, changes: Changes, label: str) -> Experiment:
     experiment = get_base(sweep)
     for fields, value in changes:
         for name, part in split_change(fields, value):
@@ -196,8 +181,3 @@ def _apply_changes(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Exp
             "swapped"
         )
     return experiment
-
-
-def _list_some_labels(cells: list[Cell]) -> str:
-    labels = [f"'{cell.label}'" for cell in cells]
-    return "use one of " + "; ".join(labels[:4]) + ("; ..." if len(labels) > 4 else "")

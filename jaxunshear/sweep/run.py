@@ -1,36 +1,64 @@
 """A full sweep: data sets, rows and summary.
 
-The same command continues where a sweep stopped. Imports no JAX, since the rows' own processes need
-the device.
+The same command continues where a sweep stopped. Its engine runs the tasks, on this machine or on a
+Ray cluster.
 """
 
+import functools
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
+from jaxunshear.cluster import Call, CallRunner, WorkerDied, make_ray_runner, run_locally
 from jaxunshear.config.network_config import list_trained_networks
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_bytes
 from jaxunshear.locks import hold_lock
 from jaxunshear.progress import Progress
-from jaxunshear.report.frontier_figure import plot_frontier
-from jaxunshear.report.sweep_figure import plot_sweep
+from jaxunshear.report.sweep_figures import plot_frontier, plot_sweep
 from jaxunshear.results.record_files import write_record
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.sweep import plan
-from jaxunshear.sweep.engines import Engine, run_serially
 from jaxunshear.sweep.grid import Row, find_reference, list_cells, list_rows
 from jaxunshear.sweep.scores import RowScores, read_tests
 from jaxunshear.sweep.summary import summarise
-from jaxunshear.sweep.tasks import LOCK, WORKER, read_outcome, run_task
+from jaxunshear.sweep.tasks import LOCK, WORKER, Task, read_outcome, run_task, write_failure
 from jaxunshear.training.initial_weights import start_folder
 
+Engine = Callable[[Sequence[Task], Sequence[str]], Iterator[Task]]  # yields tasks as they end
 Item = TypeVar("Item")
+
+
+def run_serially(tasks: Sequence[Task], worker: Sequence[str]) -> Iterator[Task]:
+    """Run one task at a time, in their order; a task comes after those that it needs."""
+    return _run_tasks(run_locally, tasks, worker)
+
+
+def make_ray_engine(address: str | None, cores: int) -> Engine:
+    """Make an engine that runs all tasks at once on a cluster, see `make_ray_runner`.
+
+    Its machines need the folders under the same paths. A task whose worker dies goes on from its
+    checkpoint. Raises `UserError` if Ray or the cluster is missing.
+    """
+    return functools.partial(_run_tasks, make_ray_runner(address, cores))
+
+
+def _run_tasks(run: CallRunner, tasks: Sequence[Task], worker: Sequence[str]) -> Iterator[Task]:
+    by_folder = {task.folder: task for task in tasks}
+    calls = (
+        Call(task.folder, run_task, (task.folder, task.kind, tuple(worker)), task.needs)
+        for task in tasks
+    )
+    for folder, result in run(calls):
+        task = by_folder[folder]
+        if isinstance(result, WorkerDied):
+            write_failure(task.folder, task.kind, result.reason)
+        yield task
 
 
 def run_sweep(

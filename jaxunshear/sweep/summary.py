@@ -1,4 +1,4 @@
-"""The summary of a sweep: figures of each cell, and differences from a reference."""
+"""The summary of a sweep: figures of each cell, differences from a reference, and a table."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields as dataclass_fields
@@ -8,10 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.fields import format_value
+from jaxunshear.config.registry import POSENET_SHEARED
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import Sweep, get_base, list_fields
-from jaxunshear.evaluation import bootstrap
-from jaxunshear.report.frontier_figure import list_efficient
+from jaxunshear.evaluation.intervals import compute_recovery, compute_recovery_interval
+from jaxunshear.evaluation.score import DIRECT_KIND
+from jaxunshear.report.sweep_figures import list_comparable, list_efficient
 from jaxunshear.results.sweep import (
     CellResult,
     Costs,
@@ -21,22 +23,27 @@ from jaxunshear.results.sweep import (
     Outcome,
     SweepResult,
 )
-from jaxunshear.sweep.crossed_bootstrap import compute_interval, describe_intervals, resample_means
 from jaxunshear.sweep.grid import Cell, format_field_name, list_axis_values, split_change
 from jaxunshear.sweep.scores import (
     RowScores,
+    compute_interval,
+    describe_intervals,
     format_name,
     get_metric_notes,
     has_same_contacts,
     list_score_names,
     number_contact_poses,
+    resample_means,
     select_by_shape,
     select_smooth,
     stack_seeds,
 )
+from jaxunshear.text_table import format_text_table
 
 # tables of a run's results with figures that are no means over contacts
 TABLES = ("pin_error", "half_width", "coverage")
+# of the table; * stands for each network
+MAIN_METRICS = ("ms_ssim/*", "pose/*/edge_mm", "pose/*/edge_deg", "swap/DS(z_p,z_s)/mse")
 TAP_TEST = "taps"  # the test of recorded taps, which are no pairs of the slides
 Rows = Mapping[int, RowScores]  # of one cell, by seed; none of them failed
 Parts = Mapping[str, np.ndarray]  # contacts (N,) bool by the name of the part
@@ -94,17 +101,6 @@ def _select_done(
 ) -> dict[int, RowScores]:
     rows = {seed: scores[label, seed] for seed in seeds}
     return {seed: row for seed, row in rows.items() if row.outcome.status == "done"}
-
-
-def select_reproducible(summary: SweepResult) -> SweepResult:
-    """Select what the same sweep on the same machine repeats bit for bit.
-
-    Times, memory and places are left out.
-    """
-    cells = [replace(cell, costs={}) for cell in summary.cells]
-    return replace(
-        summary, cells=cells, command="", machines=(), trained_on=(), sources=(), efficient={}
-    )
 
 
 def _summarise_cell(
@@ -197,7 +193,7 @@ def _compute_recoveries(rows: Rows) -> dict[str, Figure]:
             continue
         errors = [
             ScoredErrors(stack_seeds(rows, each, score), number_contact_poses(rows, each))
-            for each, score in ((tap_test, tap), (test, sheared), (test, name))
+            for each, score in ((test, name), (test, sheared), (tap_test, tap))
         ]
         parts: dict[str, np.ndarray | slice] = {"": slice(None)}
         if tap_test == test:
@@ -211,25 +207,16 @@ def _compute_recoveries(rows: Rows) -> dict[str, Figure]:
 
 
 def _compute_recovery(seeds: Sequence[int], errors: Sequence[ScoredErrors]) -> Figure | None:
-    """Compute (sheared - unsheared) / (sheared - tap) of mean errors, with its interval.
-
-    `errors` are those on taps, sheared and unsheared contacts. Returns None if the slide does no
-    damage. There is no interval if it does none in some of the resamples, as the recovery then has
-    no bounds.
-    """
-    tap, sheared, unsheared = [each.values.mean() for each in errors]
-    if sheared <= tap:
+    """Compute the recovery of mean errors on unsheared and sheared contacts, and on taps."""
+    mean = compute_recovery(*(float(each.values.mean()) for each in errors))
+    if mean is None:
         return None
-    by_seed: dict[str, float | None] = {}
-    means = np.stack([each.values.mean(axis=1) for each in errors], axis=1)
-    for seed, row in zip(seeds, means, strict=True):
-        recovery = float((row[1] - row[2]) / (row[1] - row[0])) if row[1] > row[0] else None
-        by_seed[str(seed)] = recovery
-    taps, slides, outputs = [resample_means(each.values, each.poses) for each in errors]
-    interval = None
-    if np.all(slides > taps):
-        interval = bootstrap.compute_interval((slides - outputs) / (slides - taps))
-    return Figure(float((sheared - unsheared) / (sheared - tap)), interval, by_seed)
+    by_seed = np.stack([each.values.mean(axis=1) for each in errors], axis=1).tolist()
+    recoveries = {
+        str(seed): compute_recovery(*row) for seed, row in zip(seeds, by_seed, strict=True)
+    }
+    resampled = [resample_means(each.values, each.poses) for each in errors]
+    return Figure(mean, compute_recovery_interval(*resampled), recoveries)
 
 
 def compute_differences(rows: Rows, other: Rows) -> dict[str, Figure]:
@@ -268,10 +255,78 @@ def summarise_code_swaps(rows: Rows) -> dict[str, Figure]:
 
 
 def _average_over_seeds(by_seed: Mapping[int, Mapping[str, float]]) -> dict[str, Figure]:
-    """Average the figures that every seed has; they have no interval."""
     averages = {}
     for name in next(iter(by_seed.values()), {}):
         if all(name in figures for figures in by_seed.values()):
             values = {str(seed): figures[name] for seed, figures in by_seed.items()}
             averages[name] = Figure(float(np.mean(list(values.values()))), None, values)
     return averages
+
+
+def format_table(summary: SweepResult) -> str:
+    """Format a line per cell, then the failures with their reasons, then the frontiers.
+
+    A line has the main figures with their intervals, seconds of training, and memory.
+    """
+    cells = summary.cells
+    names = select_main_metrics(summary)
+    head, rows = ("", "seeds", *names, "training", "memory"), []
+    for cell in cells:
+        label = cell.label + (" *" if cell.label == summary.reference else "")
+        seeds = f"{len(cell.seeds)} of {len(summary.seeds)}"
+        figures = [_format_figure(cell.metrics.get(name)) for name in names]
+        line = [label, seeds, *figures, *_format_costs(cell)]
+        rows.append(dict(zip(head, line, strict=True)))
+    text = [format_text_table(rows, head)]
+    text.append(f"brackets: 95 % intervals over {summary.spread['over']}")
+    if summary.reference:
+        text.append("* what sweep.json has the differences from")
+    for cell in cells:
+        for failure in cell.failures:
+            text.append(f"failed: {cell.label}, seed {failure.seed}: {failure.reason}")
+    if any(cell.failures for cell in cells):
+        text.append(
+            "the same command leaves failed rows as they are: --retry-failed tries them again"
+        )
+    return "\n".join(text + _describe_frontiers(summary))
+
+
+def _describe_frontiers(summary: SweepResult) -> list[str]:
+    lines = []
+    for metric, costs in summary.efficient.items():
+        for cost, labels in costs.items():
+            if len(labels) > 1:
+                lines.append(f"{metric} against {cost}: {' < '.join(labels)}")
+    if lines:
+        comparable = list_comparable(summary)
+        others = [cell.label for cell in summary.cells if cell.label not in comparable]
+        if others:
+            lines.append(f"not ranked, tested on other contacts: {'; '.join(others)}")
+    return lines
+
+
+def select_main_metrics(summary: SweepResult) -> list[str]:
+    """Select the metrics of any cell that the table has room for."""
+    metrics = {name: None for cell in summary.cells for name in cell.metrics}
+    patterns: tuple[str, ...] = MAIN_METRICS
+    if not any(name.endswith("/edge_mm") for name in metrics):  # other targets: the first two
+        targets = [name.rpartition("/")[2] for name in metrics if name.startswith("pose/")]
+        first_targets = list(dict.fromkeys(targets))[:2]
+        patterns = (MAIN_METRICS[0], *(f"pose/*/{target}" for target in first_targets))
+    kinds = [DIRECT_KIND if network == POSENET_SHEARED else network for network in summary.networks]
+    names = [pattern.replace("*", kind) for pattern in patterns for kind in kinds]
+    return [name for name in dict.fromkeys(names) if name in metrics]
+
+
+def _format_figure(figure: Figure | None) -> str:
+    if figure is None or figure.interval is None:
+        return "-"
+    return "{:.3g} [{:.3g}, {:.3g}]".format(figure.mean, *figure.interval)
+
+
+def _format_costs(cell: CellResult) -> list[str]:
+    costs = cell.costs.values()
+    if not costs:
+        return ["-", "-"]
+    seconds = sum(sum(cost.train_seconds.values()) for cost in costs) / len(costs)
+    return [f"{seconds:.0f} s", f"{max(cost.peak_memory_bytes for cost in costs) / 2**30:.1f} GiB"]

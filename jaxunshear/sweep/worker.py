@@ -88,7 +88,9 @@ def run_order(order: TaskOrder, folder: Path) -> Outcome:
     except UserError as error:
         if is_disk_full(error):
             raise
-        reason = str(error) if order.kind == "data" else _add_retry_option(str(error))
+        reason = str(error)
+        if order.kind != "data" and "--retry-failed" not in reason:
+            reason = reason.replace("the same command", "the same command with --retry-failed")
         outcome = make_failure(order, reason, folder)
     except Exception as error:  # also a MemoryError, and what XLA makes of one
         if is_disk_full(error):
@@ -103,13 +105,6 @@ def run_order(order: TaskOrder, folder: Path) -> Outcome:
         peak_memory_bytes=max(peak, outcome.peak_memory_bytes),
         host=platform.node(),
     )
-
-
-def _add_retry_option(reason: str) -> str:
-    option = "--retry-failed"
-    if option in reason:
-        return reason
-    return reason.replace("the same command", f"the same command with {option}")
 
 
 def _make_data(order: TaskOrder, folder: Path) -> Outcome:
@@ -146,10 +141,8 @@ def _run_row(order: TaskOrder, folder: Path) -> Outcome:
 def _measure_codes(
     experiment: Experiment, folder: Path, data: Path, command: str
 ) -> list[dict[str, object]]:
-    """Measure the decoders on swapped codes, and the leakage of each code."""
     from jaxunshear.evaluation.code_swaps import ablate
-    from jaxunshear.evaluation.leakage import measure_leakage
-    from jaxunshear.evaluation.leakage_table import build_sweep_rows
+    from jaxunshear.evaluation.leakage import build_sweep_rows, measure_leakage
 
     if experiment.unshear.input == "pins":
         rows, has_shear_code = [], bool(experiment.pins.shear_code)

@@ -28,12 +28,12 @@ from jaxunshear.config.targets import to_json
 from jaxunshear.config.training import Training
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
-from jaxunshear.metrics.machine import describe_machine
 from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import compiled_kernels
 from jaxunshear.progress import Progress
 from jaxunshear.results import record_files
 from jaxunshear.results.measurement import TrainingSummary
+from jaxunshear.results.provenance import describe_machine
 from jaxunshear.training import checkpoint
 from jaxunshear.training.devices import Devices, get_devices
 from jaxunshear.training.finite_check import check_state, check_terms

@@ -24,31 +24,23 @@ def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     net = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
     pose_net = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
+    entangled = replace(net, disentangled=False)
     nets = {
         "disentangled": ("unshear", unshearnet.init, net),
-        "entangled": ("unshear", unshearnet.init, replace(net, disentangled=False)),
-        "entangled_large": (
-            "unshear",
-            unshearnet.init,
-            replace(net, widths=(8, 8), disentangled=False),
-        ),
+        "entangled": ("unshear", unshearnet.init, entangled),
+        "entangled_large": ("unshear", unshearnet.init, replace(entangled, widths=(8, 8))),
         "unet": ("unet", unet.init, UNet(size=32, widths=(4, 4, 4))),
         "posenet": ("posenet", partial(posenet.init, outputs=5), pose_net),
         "posenet_sheared": ("posenet", partial(posenet.init, outputs=5), pose_net),
     }
     for name, (kind, init, settings) in nets.items():
-        variables = jax.jit(partial(init, settings), compiler_options=get_compile_options())(
-            key=jax.random.key(0)
-        )
-        variables = {"params": jax.tree.map(lambda x: 10 * x, variables["params"])} | {
-            "batch_stats": variables["batch_stats"]
-        }
-        targets = make_range_targets(
-            (), Ranges(lateral_mm=10) if name == "posenet_sheared" else Ranges()
-        )
-        checkpoint.write_settings(
-            folder / name, {"kind": kind, "net": asdict(settings), "targets": to_json(targets)}
-        )
+        compiled = jax.jit(partial(init, settings), compiler_options=get_compile_options())
+        variables = compiled(key=jax.random.key(0))
+        variables = variables | {"params": jax.tree.map(lambda x: 10 * x, variables["params"])}
+        ranges = Ranges(lateral_mm=10) if name == "posenet_sheared" else Ranges()
+        targets = to_json(make_range_targets((), ranges))
+        model = {"kind": kind, "net": asdict(settings), "targets": targets}
+        checkpoint.write_settings(folder / name, model)
         checkpoint.save(folder / name, 1, {"average": variables}, {"best_step": 1, "history": []})
         write_json(folder / name / "summary.json", {"steps": 1})
     return folder

@@ -13,13 +13,13 @@ from jaxunshear.config.networks import PinPoseNet, PinUnshear
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.data.sources import PinLayout
-from jaxunshear.evaluation.detected_pins import (
+from jaxunshear.evaluation.network_outputs import make_run
+from jaxunshear.evaluation.simulated_evaluation import (
     DETECTED,
     DETECTED_TAP,
+    build_simulated_results,
     detect_pairs,
 )
-from jaxunshear.evaluation.network_outputs import make_run
-from jaxunshear.evaluation.simulated_evaluation import build_simulated_results
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import PINS
 from jaxunshear.perception.drawing import draw_dots
@@ -57,63 +57,46 @@ class Reader:
             "sheared": drawn(slide),
         }
         found["sheared"][self.black] = 0
-        return {name: (found | {"pose_id": np.arange(len(MOVES))})[name][rows] for name in fields}
-
-
-FIELDS = ("canonical", "sheared", "canonical_pins", "sheared_pins", "pose_id")
+        return {name: found.get(name, np.arange(len(MOVES)))[rows] for name in fields}
 
 
 def test_pairs_that_are_followed_are_scored_and_the_others_counted():
-    found = detect_pairs(Reader(black=[1]), LATTICE, FIELDS)
-    assert found.pairs["pose_id"].tolist() == [0, 2] and not {"canonical", "sheared"} & set(
-        found.pairs
-    )
-    assert (
-        found.reported["sheared"]["followed"] == pytest.approx(2 / 3)
-        and found.reported["tap"]["followed"] == 1
-    )
-    assert (
-        found.reported["tap"]["missing_per_image"] == 0
-        and 0 < found.reported["sheared"]["rms_px"] < 0.4
-    )
-    np.testing.assert_array_equal(
-        found.pairs["canonical_pins"][0], LATTICE.rest.astype(np.float32)
-    )  # as it is
+    found = detect_pairs(Reader(black=[1]), LATTICE)
+    assert found.pairs["pose_id"].tolist() == [0, 2]
+    assert not {"canonical", "sheared"} & set(found.pairs)
+    tap, slide = found.reported["tap"], found.reported["sheared"]
+    assert slide["followed"] == pytest.approx(2 / 3) and tap["followed"] == 1
+    assert tap["missing_per_image"] == 0 and 0 < slide["rms_px"] < 0.4
+    rest = LATTICE.rest.astype(np.float32)
+    np.testing.assert_array_equal(found.pairs["canonical_pins"][0], rest)  # as it is
     np.testing.assert_allclose(found.pairs[DETECTED_TAP][0], LATTICE.rest, atol=0.7)
     np.testing.assert_allclose(found.pairs["sheared_pins"][1] - MOVES[2], LATTICE.rest, atol=0.7)
-    assert [len(batch["pose_id"]) for batch in found.make_test(1).batches] == [1, 1]
-    assert detect_pairs(Reader(black=range(3)), LATTICE, FIELDS) is None
+    assert [len(batch["pose_id"]) for batch in found.make_test().batches] == [2]
+    assert detect_pairs(Reader(black=range(3)), LATTICE) is None
 
 
 def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_one():
-    nets = {
-        "disentangled": PinUnshear(hidden=8, layers=1),
-        "posenet": PinPoseNet(hidden=8, layers=1),
-    }
+    shape = {"hidden": 8, "layers": 1}
+    nets = {"disentangled": PinUnshear(**shape), "posenet": PinPoseNet(**shape)}
     counts = {"disentangled": 0, "posenet": posenet.count_outputs(TARGETS)}
     variables = {
         name: pin_networks.init(net, LATTICE.rest, 2.0, jax.random.key(1), outputs=counts[name])
         for name, net in nets.items()
     }
-    run = partial(
-        jax.jit(
-            make_run(nets, dict.fromkeys(nets, TARGETS), PINS, PinLayout(LATTICE.rest, 1.6, SIZE))
-        ),
-        variables,
-        None,
-    )
+    layout = PinLayout(LATTICE.rest, 1.6, SIZE)
+    run = jax.jit(make_run(nets, dict.fromkeys(nets, TARGETS), PINS, layout))
+    run = partial(run, variables, None)
     tap = LATTICE.rest[None].astype(np.float32)
     noisy = tap + np.random.default_rng(0).normal(0, 1, tap.shape).astype(np.float32)
     (plain, true), (outputs, found) = run(tap, tap + 1), run(tap, tap + 1, noisy)
     of_noisy, _ = run(noisy, noisy)
-    assert {name: float(value[0]) for name, value in found.items()} == pytest.approx(
-        {name: float(value[0]) for name, value in true.items()}
-    )
+    assert found.keys() == true.keys()
+    for name, score in true.items():
+        np.testing.assert_allclose(found[name], score, rtol=1e-6, err_msg=name)
     np.testing.assert_array_equal(outputs.images["tap"], plain.images["tap"])
-    np.testing.assert_allclose(
-        outputs.poses["tap"]["edge_mm"], of_noisy.poses["tap"]["edge_mm"], rtol=1e-5
-    )
-    assert np.abs(outputs.poses["tap"]["edge_mm"] - plain.poses["tap"]["edge_mm"]).max() > 1e-4
+    edge_mm = outputs.poses["tap"]["edge_mm"]
+    np.testing.assert_allclose(edge_mm, of_noisy.poses["tap"]["edge_mm"], rtol=1e-5)
+    assert np.abs(edge_mm - plain.poses["tap"]["edge_mm"]).max() > 1e-4
 
 
 def test_the_page_gives_how_many_were_followed():

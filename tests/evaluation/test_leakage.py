@@ -20,14 +20,7 @@ from jaxunshear.data.reader import to_sensor_frame
 from jaxunshear.data.simulation import SimulationEngine
 from jaxunshear.data.stored_sets import make_set
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import (
-    code_exchange,
-    independence,
-    leakage,
-    leakage_table,
-    probe_data,
-    probes,
-)
+from jaxunshear.evaluation import codes, leakage, probe_data, probes
 from jaxunshear.evaluation.codes import load_code_network
 from jaxunshear.report.leakage_figure import plot_leakage
 from jaxunshear.run import run_stages
@@ -36,33 +29,22 @@ from jaxunshear.training.checkpoint import read_slides
 SENSOR = Sensor(name="small", rings=2)
 SIZE = 32
 DROPPED = 17  # this contact does not converge
+CONTACTS = {"config": "tiny", "stimuli": ("disk",), "preprocess": Preprocess(size=SIZE)}
 EXPERIMENT = Experiment(
     name="toy",
     claim="none",
     networks=("disentangled",),
     sensor=SENSOR,
-    paired=PairedData(
-        config="tiny",
-        stimuli=("disk",),
-        poses=60,
-        slides=2,
-        poses_a_slide=2,
-        preprocess=Preprocess(size=SIZE),
-    ),
-    pose=PoseData(config="tiny", stimuli=("disk",), poses=10, preprocess=Preprocess(size=SIZE)),
+    paired=PairedData(**CONTACTS, poses=60, slides=2, poses_a_slide=2),
+    pose=PoseData(**CONTACTS, poses=10),
     unshear=UnshearNet(size=SIZE, widths=(4, 4), input="pins"),
     pins=PinNet(hidden=8, layers=1, pose_code=3, shear_code=2, apart=True),
     train_pins=Training(
         epochs=2,
         batch=8,
         shift=0.0,
-        losses={
-            "supervised": 1.0,
-            "reconstruction": 1.0,
-            "counterfactual": 1.0,
-            "code_agreement": 0.1,
-            "slide": 1.0,
-        },
+        losses=dict.fromkeys(("supervised", "reconstruction", "counterfactual", "slide"), 1.0)
+        | {"code_agreement": 0.1},
     ),
 )
 SLIDES = make_slide_targets(EXPERIMENT.paired.ranges)
@@ -153,9 +135,8 @@ def test_summaries_are_means_over_what_has_a_ceiling(found):
         seen = [one for one in asked if one["ceiling"] is not None]
         assert row["r2"] == pytest.approx(np.mean([one["r2"] for one in seen]))
         assert row["quantities"] == [one["quantity"] for one in seen]
-        assert set(row["without a ceiling"]) == {
-            one["quantity"] for one in asked if one not in seen
-        }
+        hidden = {one["quantity"] for one in asked if one not in seen}
+        assert set(row["without a ceiling"]) == hidden
         low, high = row["r2 interval"]
         assert low <= row["r2"] <= high
 
@@ -167,11 +148,8 @@ def test_what_the_input_does_not_show_is_named_and_left_out_of_shares():
         named = {"what": "slide", "code": "z_p", "quantity": quantity, "estimate": errors}
         return named | {"r2": r2, "ceiling": ceiling}
 
-    rows = [
-        row("slide_x_mm", 0.2, 0.8),
-        row("slide_y_mm", -0.1, 0.5),
-        row("slide_Rx_deg", 0.09, None),
-    ]
+    rows = [row("slide_x_mm", 0.2, 0.8), row("slide_y_mm", -0.1, 0.5)]
+    rows.append(row("slide_Rx_deg", 0.09, None))
     found = leakage._summarise(rows, ("slide", "z_p"), np.arange(4))
     assert found["quantities"] == ["slide_x_mm", "slide_y_mm"]
     assert found["without a ceiling"] == ["slide_Rx_deg"]
@@ -186,7 +164,7 @@ def test_the_slide_is_read_with_an_interval(found):
         (f"slide_{axis}_mm", part) for axis in "xy" for part in ("all", "sticking", "slipped")
     ]
     assert all(0 <= row["coverage"] <= 1 and row["half_width"] > 0 for row in found["slide"])
-    assert "95 % intervals hold" in leakage_table.format_table(found)
+    assert "95 % intervals hold" in leakage.format_table(found)
 
 
 def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, folder):
@@ -201,7 +179,7 @@ def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, 
     for name, row in drawn.items():
         squares = [part["slides"] * part["drawn"][name]["rms_px"] ** 2 for part in parts]
         assert sum(squares) == pytest.approx(found["exchanged"]["slides"] * row["rms_px"] ** 2)
-    exchanged = code_exchange.exchange_codes(EXPERIMENT, folder / "runs" / "toy", folder / "data")
+    exchanged = codes.exchange_codes(EXPERIMENT, folder / "runs" / "toy", folder / "data")
     assert exchanged.decoded.shape == exchanged.true.shape == (2, 2, SENSOR.pins, 2)
     # the toy's law: what two slides differ in at one pose they differ in at another
     np.testing.assert_allclose(
@@ -210,21 +188,15 @@ def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, 
         atol=1e-3,
     )
     assert plot_leakage(found, exchanged)[:4] == plot_leakage(found, None)[:4] == b"\x89PNG"
-    assert "a leak" in leakage_table.format_table(
-        found
-    ) and "codes exchanged" in leakage_table.format_table(found)
+    table = leakage.format_table(found)
+    assert "a leak" in table and "codes exchanged" in table
 
 
 def test_a_sweep_gets_the_figures_and_can_leave_out_the_controls(found, folder):
-    names = {row["name"] for row in leakage_table.build_sweep_rows(found)}
-    assert {
-        "pose from z_s",
-        "slide_x_mm from z_p",
-        "DS, codes exchanged",
-        "slide_x_mm, all",
-    } <= names
-    assert "standard scores" in names
-    assert {"DS, codes exchanged, sticking", "DS, codes both of its own, slipped"} <= names
+    names = {row["name"] for row in leakage.build_sweep_rows(found)}
+    assert {"pose from z_s", "slide_x_mm from z_p", "slide_x_mm, all", "standard scores"} <= names
+    exchanged = {f"DS, codes {end}" for end in ("exchanged, sticking", "both of its own, slipped")}
+    assert {"DS, codes exchanged", *exchanged} <= names
     run = folder / "runs" / "toy"
     fewer = leakage.measure_leakage(EXPERIMENT, run, folder / "data", "none", controls=False)
     full = {row["name"]: row["r2"] for row in found["rows"]}
@@ -255,6 +227,10 @@ def test_a_shear_code_that_is_taught_the_slide_says_it(folder, tmp_path):
     assert said["x_mm from z_s"] < 0.1 and said["y_mm from z_s"] < 0.1
 
 
+def read_last_line(place):
+    return json.loads((place / "log.jsonl").read_text().splitlines()[-1])
+
+
 def test_fewer_pairs_train_beside_taps(folder, tmp_path):
     """In a full training: taps, and slides of one pose, are terms of it, and of no validation.
 
@@ -266,7 +242,7 @@ def test_fewer_pairs_train_beside_taps(folder, tmp_path):
     few = dataclasses.replace(EXPERIMENT, pins=pins, train_pins=training)
     run_stages(few, ("disentangled",), tmp_path, folder / "data", "none")
     place = tmp_path / "toy" / "disentangled"
-    (*_, last) = [json.loads(line) for line in (place / "log.jsonl").read_text().splitlines()]
+    last = read_last_line(place)
     assert last["train"]["tap_identity"] > 0 and last["train"]["consistency"] > 0
     assert not {"tap_identity", "consistency"} & set(last["validation"])
     full = json.loads((folder / "runs" / "toy" / "disentangled" / "model.json").read_text())
@@ -278,9 +254,8 @@ def test_fewer_pairs_train_beside_taps(folder, tmp_path):
 def test_a_slide_is_felt_in_the_frame_of_the_sensor_and_its_twist_as_it_is():
     pose, move = np.array([[0, 0, 90.0, 2]]), np.array([[1.0, 0.0, -4.0]])
     np.testing.assert_allclose(to_sensor_frame(move, pose), [[0, -1, -4]], atol=1e-6)
-    np.testing.assert_array_equal(
-        to_sensor_frame(move[:, :2], pose), to_sensor_frame(move, pose)[:, :2]
-    )
+    along = to_sensor_frame(move, pose)[:, :2]
+    np.testing.assert_array_equal(to_sensor_frame(move[:, :2], pose), along)
 
 
 def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
@@ -294,9 +269,7 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
     images = dataclasses.replace(EXPERIMENT, unshear=net, pins=PinNet(), train=training)
     run_stages(images, ("disentangled",), tmp_path, folder / "data", "none")
     run = tmp_path / "toy"
-    (*_, last) = [
-        json.loads(line) for line in (run / "disentangled" / "log.jsonl").read_text().splitlines()
-    ]
+    last = read_last_line(run / "disentangled")
     assert losses.keys() <= set(last["train"]) and "slide" in last["validation"]
     assert read_slides(run / "disentangled") == SLIDES
     found = leakage.measure_leakage(images, run, folder / "data", "none", controls=False)
@@ -306,15 +279,13 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
         drawn["exchanged"]["rms_grey"] / drawn["both of its own"]["rms_grey"]
     )
     assert {"DS, codes exchanged", "DS, codes exchanged, sticking"} <= {
-        row["name"] for row in leakage_table.build_sweep_rows(found)
+        row["name"] for row in leakage.build_sweep_rows(found)
     }
-    assert "of 1 in grey" in leakage_table.format_table(found)
-    exchanged = code_exchange.exchange_codes(images, run, folder / "data")
+    assert "of 1 in grey" in leakage.format_table(found)
+    exchanged = codes.exchange_codes(images, run, folder / "data")
     assert exchanged.decoded.shape == exchanged.true.shape == (2, 2, SIZE, SIZE, 1)
-    assert (
-        set(np.unique(exchanged.true)) == {0, 1}
-        and 0 <= exchanged.decoded.min() <= exchanged.decoded.max() <= 1
-    )
+    assert set(np.unique(exchanged.true)) == {0, 1}
+    assert 0 <= exchanged.decoded.min() <= exchanged.decoded.max() <= 1
     assert plot_leakage(found, exchanged)[:4] == b"\x89PNG"
 
 
@@ -328,9 +299,8 @@ def test_a_planted_leak_is_found_by_the_test_of_independence():
     """A hundredth of the spread of a random code is planted: p is small with it alone."""
     rng = np.random.default_rng(5)
     code, quantity = rng.normal(size=(400, 8)), rng.uniform(-1, 1, (400, 1))
-    test = probe_data.ProbeSplit(
-        {"z_p": code}, {("slide", "slide_x_mm"): quantity}, np.arange(400), {}
-    )
+    quantities = {("slide", "slide_x_mm"): quantity}
+    test = probe_data.ProbeSplit({"z_p": code}, quantities, np.arange(400), {})
     row = {"leak": True, "ceiling": 0.9, "code": "z_p", "what": "slide", "quantity": "slide_x_mm"}
-    (tested,) = independence.measure_independence(test, [row])
+    (tested,) = leakage.measure_independence(test, [row])
     assert tested["p"] > 0.05 and tested["planted p"] < 0.01

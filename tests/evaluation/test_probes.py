@@ -4,15 +4,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.config.splits import SPLITS
 from jaxunshear.evaluation import probes
+from jaxunshear.evaluation.codes import split_by_slip
 from jaxunshear.evaluation.leakage import probe_quantity
-from jaxunshear.evaluation.probes import (
-    FAMILIES,
-    compute_r2,
-    fit_whitening,
-    mark_held_out,
-    prepare_task,
-)
+from jaxunshear.evaluation.probe_data import ProbeSplit, estimate_slides
+from jaxunshear.evaluation.probes import FAMILIES, compute_r2, fit_whitening, prepare_task
 
 COUNT, LEARNT = 1200, 800  # of the planted leak
 
@@ -76,7 +73,7 @@ def test_a_planted_leak_is_found_though_a_probe_of_scaled_numbers_misses_it():
     wanted = np.concatenate([slide, hidden], axis=1)
     wanted /= wanted.std(axis=0)
     scaled = (codes - codes.mean(axis=0)) / codes.std(axis=0)
-    held = mark_held_out(np.arange(LEARNT))
+    held = np.arange(LEARNT) % 5 == 4
     learnt, judged = np.flatnonzero(~held), np.flatnonzero(held)
     parts = (scaled[learnt], wanted[learnt], scaled[judged], wanted[judged], scaled[LEARNT:])
     old = probes._train_mlp(*(jnp.asarray(part, jnp.float32) for part in parts), gaussian=False)
@@ -113,3 +110,58 @@ def test_r2_of_known_answers():
     assert compute_r2(scatter, scatter) == 0
     assert compute_r2(scatter / 4, scatter) == pytest.approx(0.75)
     assert np.isnan(compute_r2(np.zeros(3), np.zeros(3)))
+
+
+RNG = np.random.default_rng(0)
+COUNTS = dict(zip(SPLITS, (1500, 600, 900), strict=True))
+
+
+def make_split(codes, slides, batch):
+    """Make slides with their pose in no code, `slides` (N, K) in x and y mm."""
+    features = {"z_p": codes[:, :0], "z_s": codes}
+    names = [("slide", f"slide_{axis}_mm") for axis in "xy"[: slides.shape[1]]]
+    quantities = {name: slides[:, [column]] for column, name in enumerate(names)}
+    return ProbeSplit(features, quantities, np.arange(len(codes)), batch)
+
+
+def test_intervals_hold_95_percent_and_widen_with_doubt():
+    """The noise of the codes grows with their last number, and the doubtful slides have slipped."""
+    splits = {}
+    for name, count in COUNTS.items():
+        slide = RNG.uniform(-2.5, 2.5, (count, 2))
+        doubt = RNG.uniform(0, 1, (count, 1))
+        noise = 0.05 * (1 + 9 * doubt) * RNG.normal(size=(count, 2))
+        slips = doubt[:, 0] > 0.5
+        state = {"stuck": 1 - slips, "slipping": slips.astype(int)}
+        splits[name] = make_split(np.concatenate([slide + noise, doubt], axis=1), slide, state)
+    found = {(row["name"], row["part"]): row for row in estimate_slides(splits)}
+    for axis in "xy":
+        every, sure, unsure = (
+            found.pop((f"slide_{axis}_mm", part)) for part in ("all", "sticking", "slipped")
+        )
+        assert 0.93 < every["coverage"] < 0.97
+        assert sure["coverage"] > 0.9 and unsure["coverage"] > 0.9
+        assert unsure["half_width"] > 1.5 * sure["half_width"] and unsure["mae"] > 1.5 * sure["mae"]
+        low, high = every["coverage interval"]
+        assert low <= every["coverage"] <= high and every["rmse"] >= every["mae"] > 0
+        assert sure["slides"] + unsure["slides"] == every["slides"] == COUNTS["test"]
+        # no reader of these codes can do better than their noise, .05 to .5 mm
+        assert 0.2 < every["mae"] < 0.35
+    assert not found
+
+
+def test_what_no_code_gives_is_covered_all_the_same():
+    splits = {}
+    for name, count in COUNTS.items():
+        slides = RNG.uniform(-1, 1, (count, 1))
+        splits[name] = make_split(RNG.normal(size=(count, 3)), slides, {})
+    (row,) = estimate_slides(splits)
+    assert 0.92 < row["coverage"] < 0.98 and row["half_width"] > 0.85
+    assert row["mae"] == pytest.approx(0.5, abs=0.06)
+
+
+def test_slipped_is_where_all_that_touches_slips():
+    state = {"stuck": np.array([0, 1, 50, 0]), "slipping": np.array([100, 99, 50, 0])}
+    parts = split_by_slip(state)
+    assert parts["slipped"].tolist() == [True, True, False, False]
+    assert parts["sticking"].tolist() == [False, False, True, True]

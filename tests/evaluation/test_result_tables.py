@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.bootstrap import compute_intervals
 from jaxunshear.evaluation.contact_scores import ContactScores
+from jaxunshear.evaluation.evaluate import select_typical
+from jaxunshear.evaluation.intervals import compute_intervals
 from jaxunshear.evaluation.result_tables import build_tables, tabulate_by_size
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
-from jaxunshear.evaluation.score_files import select_typical
 from jaxunshear.evaluation.simulated_evaluation import summarise_contact_quality
 
 QUANTITIES = ("x_mm", "yaw_deg", "edge_mm", "edge_deg")

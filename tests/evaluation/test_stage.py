@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.image import Preprocess
 from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.registry import ALL_NETWORKS, UNSHEARING
 from jaxunshear.config.sensor import TACTIP_331
@@ -15,12 +17,14 @@ from jaxunshear.data import stored_sets
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import simulated_evaluation
+from jaxunshear.evaluation.contact_scores import QUALITY
 from jaxunshear.evaluation.evaluate import evaluate
-from jaxunshear.evaluation.measurements import select_reproducible
+from jaxunshear.evaluation.score import BASELINES
 from jaxunshear.files import read_json, write_json
 from jaxunshear.results.record_files import SCHEMA, read_record
 from jaxunshear.results.run import Results
 from jaxunshear.serialization import to_builtins
+from tests.helpers.reproducible import select_results
 
 SIZE, COUNT = 32, 6
 
@@ -39,24 +43,19 @@ class Reader:
     def take(self, split, rows, fields):
         """Of the taps of the pose set."""
         assert split == "train"  # whoever learns from them sees no other
-        full = next(self.split(split, self.length(split), ("canonical", "pose", "edge")))
-        pins = np.random.default_rng(1).normal(
-            SIZE / 2, 5, (self.length(split), TACTIP_331.pins, 2)
-        )
+        count = self.length(split)
+        full = next(self.split(split, count, ("canonical", "pose", "edge")))
+        pins = np.random.default_rng(1).normal(SIZE / 2, 5, (count, TACTIP_331.pins, 2))
         full |= {"image": full["canonical"], "pins": pins}
         return {field: full[field][rows] for field in fields}
 
     def split(self, name, batch, fields):
-        generator = np.random.default_rng(0)
-        images = (generator.random((2, self.length(name), SIZE, SIZE, 1)) < 0.2).astype(
+        generator, count = np.random.default_rng(0), self.length(name)
+        images = np.where(generator.random((2, count, SIZE, SIZE, 1)) < 0.2, 255, 0).astype(
             np.uint8
-        ) * 255
-        pins = (
-            np.stack(np.meshgrid(*[np.arange(8, 24, 4.0)] * 2), axis=-1)
-            .reshape(-1, 2)
-            .astype(np.float32)
         )
-        count = self.length(name)
+        across = np.arange(8, 24, 4, dtype=np.float32)
+        pins = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)
         full = {
             "canonical": images[0],
             "sheared": images[1],
@@ -67,30 +66,22 @@ class Reader:
             "pose": generator.normal(size=(count, 4)).astype(np.float32),
             "edge": generator.normal(size=(count, 2)).astype(np.float32),
             "move": np.ones((count, 2), np.float32),
-        } | {
-            name: np.ones(count)
-            for name in ("residual_mm", "iterations", "stuck", "slipping", "free")
+            **dict.fromkeys(QUALITY, np.ones(count)),
         }
         for start in range(0, count, batch):
             yield {field: full[field][start : start + batch] for field in fields}
 
 
 def _opens(monkeypatch, count):
-    for module in (simulated_evaluation, stored_sets):
-        monkeypatch.setattr(
-            module, "open_set", lambda settings, data_dir, sensor, kind=None: Reader(count)
-        )
-    monkeypatch.setattr(
-        simulated_evaluation, "read_metadata", lambda settings, sensor, data_dir: Reader.metadata
-    )
+    for module in (simulated_evaluation, reader):
+        monkeypatch.setattr(module, "open_set", lambda *_: Reader(count))
+    monkeypatch.setattr(simulated_evaluation, "read_metadata", lambda *_: Reader.metadata)
 
 
 @pytest.fixture
 def experiment():
-    full = Experiment(name="small", claim="that the stage works")
-    return replace(
-        full, paired=replace(full.paired, preprocess=replace(full.paired.preprocess, size=SIZE))
-    )
+    paired = PairedData(preprocess=Preprocess(size=SIZE))
+    return Experiment(name="small", claim="that the stage works", paired=paired)
 
 
 @pytest.fixture
@@ -99,16 +90,9 @@ def run_dir(trained, experiment, tmp_path, monkeypatch):
     _opens(monkeypatch, COUNT)
     folder = shutil.copytree(trained, tmp_path / "run")
     for network in ALL_NETWORKS:
-        path = folder / network / "model.json"
-        write_json(
-            path,
-            read_json(path)
-            | {
-                "origin": open_source(experiment).describe_origin(
-                    resolve_network(experiment, network)
-                )
-            },
-        )
+        path, config = folder / network / "model.json", resolve_network(experiment, network)
+        origin = open_source(experiment).describe_origin(config)
+        write_json(path, read_json(path) | {"origin": origin})
     return folder
 
 
@@ -128,45 +112,25 @@ def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment,
     assert set(results.readers["pixels"]) == {"tap", "sheared", "entangled", "disentangled"}
     assert results.readers["pixels"]["disentangled"]["edge_mm"] > 0
     assert results.reader_images["pixels"]["tap"] == {"read": COUNT, "left_out": 0}
-    assert results.reader_images["pins"]["tap"] == {
-        "read": 0,
-        "left_out": COUNT,
-    }  # random dots are no pins
+    none = {"read": 0, "left_out": COUNT}
+    assert results.reader_images["pins"]["tap"] == none  # random dots are no pins
     assert results.readers["pins"]["tap"]["edge_mm"] is None
     assert results.ms_ssim["disentangled"]["teardrop"] is None
     for name in (
-        "ms_ssim",
-        "pose_mae",
-        "swap",
-        "pin_error",
-        "spread",
-        "machine",
-        "versions",
-        "source",
-        "seeds",
-        "command",
-        "paper",
+        *("ms_ssim", "pose_mae", "swap", "pin_error", "spread", "machine", "versions"),
+        *("source", "seeds", "command", "paper"),
     ):
         assert getattr(results, name), name
     montage = (run_dir / "montage.npz").read_bytes()
     again = evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
-    assert select_reproducible(again) == select_reproducible(results)
-    assert list(results.ms_ssim) == [
-        "sheared",
-        "mean_tap",
-        "nearest_tap",
-        "translated",
-        "entangled",
-        "disentangled",
-    ]
+    assert select_results(again) == select_results(results)
+    assert list(results.ms_ssim) == ["sheared", *BASELINES, "entangled", "disentangled"]
     assert (run_dir / "montage.npz").read_bytes() == montage
 
 
 def test_evaluate_scores_further_tests_with_all_of_their_splits(run_dir, experiment, tmp_path):
-    further = replace(
-        experiment, unseen=("flower", "leaf"), other_jitters_mm=(0.5,), networks=ALL_NETWORKS
-    )
-    further = replace(further, other_twists_deg=(5.0,))
+    tests = {"unseen": ("flower", "leaf"), "other_jitters_mm": (0.5,), "other_twists_deg": (5.0,)}
+    further = replace(experiment, networks=ALL_NETWORKS, **tests)
     results = evaluate(further, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
     assert list(results.tests) == ["unseen", "depth_0.5mm", "twist_5deg"]
     assert [test.ranges["twist_deg"] for test in results.tests.values()] == [0, 0, 5]
@@ -174,11 +138,8 @@ def test_evaluate_scores_further_tests_with_all_of_their_splits(run_dir, experim
     assert test.contacts == 18 + 6 + COUNT
     assert test.ms_ssim["unet"]["leaf"] > 0
     assert test.pose_mae["sheared_learnt"]["edge_mm"] > 0
-    assert list(test.readers) == ["pixels"] and set(test.readers["pixels"]) == {
-        "tap",
-        "sheared",
-        *UNSHEARING,
-    }
+    assert list(test.readers) == ["pixels"]
+    assert set(test.readers["pixels"]) == {"tap", "sheared", *UNSHEARING}
     assert (run_dir / "scores-unseen.npz").exists()
 
 

@@ -64,7 +64,7 @@ def _write(path: Path | None, rows: list[dict]) -> None:
     """Write rows; those of another call that were not run again stay."""
     from jaxunshear.code_version import read_source
     from jaxunshear.files import read_json, write_json
-    from jaxunshear.metrics.machine import describe_provenance
+    from jaxunshear.results.provenance import describe_provenance
 
     if path is not None:
         before = read_json(path)["rows"] if path.exists() else []

@@ -22,10 +22,9 @@ from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json
 from jaxunshear.report import montage
-from jaxunshear.report.history import read_history
-from jaxunshear.results.record_files import read_record
+from jaxunshear.report.training_sections import read_history
+from jaxunshear.results.record_files import read_record, read_times
 from jaxunshear.results.run import Results
-from jaxunshear.results.times import read_times
 from jaxunshear.serialization import to_builtins
 from jaxunshear.simulator.dome import load_dome
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets

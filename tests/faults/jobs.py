@@ -18,6 +18,7 @@ from jaxunshear.results.sweep import SweepResult
 from jaxunshear.training.checkpoint import compute_weights_digest
 from tests.faults.outcome import compute_array_digest, compute_digest, run_command
 from tests.faults.places import PINS, RECORDED, ROOT, TINY, Places
+from tests.helpers.reproducible import select_results, select_sweep
 
 POSENET = ("--networks", "posenet", "--network", "posenet")
 
@@ -107,7 +108,7 @@ def _read_weights(work: Path) -> object:
 
 def _score(name: str) -> Callable[[Path], object]:
     def read(work: Path) -> object:
-        return select_reproducible(read_record(work / name / "results.json", Results, "again"))
+        return select_results(read_record(work / name / "results.json", Results, "again"))
 
     return read
 
@@ -152,9 +153,7 @@ _read_sweep = partial(read_record, kind=SweepResult, remedy="again")
 
 
 def _read_table(work: Path) -> object:
-    from jaxunshear.sweep.summary import select_reproducible as select_same
-
-    return select_same(_read_sweep(work / "small" / "sweep.json"))
+    return select_sweep(_read_sweep(work / "small" / "sweep.json"))
 
 
 def _has_killed_rows(work: Path) -> bool:

@@ -132,8 +132,8 @@ def differences(golden: Any, found: Any, tolerance: float, path: str = "") -> It
 def describe_machine() -> dict[str, Any]:
     """Return what decides how sums are rounded."""
     from jaxunshear.environment import count_cores
-    from jaxunshear.metrics.machine import list_versions
     from jaxunshear.models import layer_choice
+    from jaxunshear.results.provenance import list_versions
 
     return {
         "processor": _describe_processor(),

@@ -45,34 +45,6 @@ def test_a_hundred_random_pairs_score_as_stored(metric, random_pairs):
     assert len(found) == 100 and min(RANDOM[metric]) < 0.1 and max(RANDOM[metric]) > 0.9
 
 
-@pytest.mark.parametrize("metric", ["ms_ssim", "ssim"])
-def test_a_hundred_random_pairs_score_as_in_the_other_library(metric, random_pairs):
-    """Values, and gradients of the first twenty if the score is not clamped. Ours are finite."""
-    torch = pytest.importorskip("torch", reason="the extra `torch` is not installed")
-    theirs = pytest.importorskip(
-        "pytorch_msssim", reason="pip install pytorch-msssim to compare with it"
-    )
-    ours, score = getattr(images, metric), getattr(theirs, metric)
-    a, b = random_pairs
-    values, slopes = (
-        np.asarray(ours(a, b)),
-        np.asarray(jax.grad(lambda x: jnp.sum(ours(x, b)))(jnp.asarray(a))),
-    )
-    assert np.isfinite(slopes).all()
-    given, other = (torch.from_numpy(side.transpose(0, 3, 1, 2).copy()) for side in (a, b))
-    with torch.no_grad():
-        expected = torch.cat(
-            [score(given[i : i + 20], other[i : i + 20], 1.0, False) for i in range(0, 100, 20)]
-        )
-    np.testing.assert_allclose(values, expected.numpy(), atol=1e-4)
-    given = given[:20].requires_grad_()
-    score(given, other[:20], 1.0, False).sum().backward()
-    free = values[:20] > 0.01  # nearer to zero the slopes of powers magnify rounding
-    mine, its = slopes[:20, ..., 0][free], given.grad.numpy()[:, 0][free]
-    apart, size = (np.linalg.norm(x, axis=(1, 2)) for x in (mine - its, mine))
-    assert (apart < 1e-2 * size).all() and free.sum() >= 15
-
-
 @pytest.mark.parametrize("metric", [lambda a, b: images.ms_ssim(a, b, 2), images.ssim, images.mse])
 def test_a_nan_is_not_hidden(metric):
     """Nor does it reach the other images."""
@@ -99,14 +71,10 @@ def test_scales_that_fit(size, scales):
 
 
 def test_the_least_size_of_five_scales_works_and_one_less_is_refused():
-    assert (
-        images.ms_ssim(
-            np.ones((1, 161, 161, 1), np.float32), np.ones((1, 161, 161, 1), np.float32)
-        )[0]
-        == 1
-    )
+    white = np.ones((1, 161, 161, 1), np.float32)
+    assert images.ms_ssim(white, white)[0] == 1
     with pytest.raises(ValueError, match=r"160x160.*5 scales.*4 fit"):
-        images.ms_ssim(np.ones((1, 160, 160, 1), np.float32), np.ones((1, 160, 160, 1), np.float32))
+        images.ms_ssim(white[:, 1:, 1:], white[:, 1:, 1:])
 
 
 def test_names_keep_other_sizes_apart():
@@ -133,10 +101,9 @@ def test_equal_images_score_one_and_order_does_not_matter(size):
 
 def test_values_and_gradients_are_finite_everywhere():
     names, a, b = stacked(64)
-    extra = [(np.zeros_like(a[0]), np.zeros_like(a[0])), (np.ones_like(a[0]), np.ones_like(a[0])),
-             (np.zeros_like(a[0]), np.ones_like(a[0]))]  # fmt: skip
-    a = np.concatenate([a, np.stack([pair[0] for pair in extra])])
-    b = np.concatenate([b, np.stack([pair[1] for pair in extra])])
+    black, white = np.zeros_like(a[0]), np.ones_like(a[0])
+    a = np.concatenate([a, np.stack([black, white, black])])
+    b = np.concatenate([b, np.stack([black, white, white])])
     for metric in (lambda x, y: images.ms_ssim(x, y, 3), images.ssim, images.mse):
         total = jax.value_and_grad(lambda x, metric=metric: jnp.sum(metric(x, b)))
         values, gradients = jax.jit(total)(jnp.asarray(a))

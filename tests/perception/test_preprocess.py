@@ -10,7 +10,7 @@ from skimage.transform import resize_local_mean
 from jaxunshear.config.image import Camera, Nuisance, Preprocess
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.errors import UserError
-from jaxunshear.metrics.pin_error import measure_pin_error
+from jaxunshear.metrics.errors import measure_pin_error
 from jaxunshear.perception import grey
 from jaxunshear.perception.pin_detection import find_pins
 from jaxunshear.perception.preprocess import (

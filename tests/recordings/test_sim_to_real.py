@@ -19,10 +19,14 @@ from jaxunshear.config.networks import PinPoseNet, PinUnshear, UnshearNet
 from jaxunshear.config.sensor import TACTIP_127
 from jaxunshear.data.recorded_contacts import read_test_contacts
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import contact_predictions
-from jaxunshear.evaluation.label_alignment import align_to_labels, choose_scored_labels
+from jaxunshear.evaluation import sim_to_real
 from jaxunshear.evaluation.recorded_results import format_table
-from jaxunshear.evaluation.sim_to_real import UNSHEARED_RAW_OFFSET, score_transfer
+from jaxunshear.evaluation.sim_to_real import (
+    UNSHEARED_RAW_OFFSET,
+    align_to_labels,
+    choose_scored_labels,
+    score_transfer,
+)
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.readers import Predictions, make_frame_transforms
 from jaxunshear.inference.trained_model import TrainedModel
@@ -105,10 +109,10 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
             for start in range(0, len(here), size):
                 yield here[np.minimum(np.arange(start, start + size), len(here) - 1)], float(slid)
 
-    asked = batches(contact_predictions.BATCH)
+    asked = batches(sim_to_real.BATCH)
 
     def predict(images):
-        assert len(images) == contact_predictions.BATCH
+        assert len(images) == sim_to_real.BATCH
         pose, off = next(asked)
 
         def read(error, moved=0.0):

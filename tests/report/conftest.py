@@ -10,9 +10,10 @@ import pytest
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.evaluation.contact_scores import ContactScores
+from jaxunshear.evaluation.evaluate import encode_montage
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
-from jaxunshear.evaluation.score_files import encode_montage
 from jaxunshear.evaluation.simulated_evaluation import build_simulated_results
+from jaxunshear.report.report import write_report
 from jaxunshear.serialization import to_builtins
 
 VOID = {"meta", "img", "br"}
@@ -86,10 +87,8 @@ def made_up_gathered():
 def make_run(folder):
     """Writes the made-up run into `folder`; returns its results."""
     gathered = made_up_gathered()
-    experiment = Experiment(
-        name="made up",
-        claim="Nothing was measured: <b>numbers & images</b> are from formulas.",
-    )
+    claim = "Nothing was measured: <b>numbers & images</b> are from formulas."
+    experiment = Experiment(name="made up", claim=claim)
     results = to_builtins(build_simulated_results(experiment, gathered)) | {
         "ms_per_image": {"disentangled": {"median": 4.2, "p95": 5.1}},
         "time_s": {"data": 131.2, "disentangled": 182.9},
@@ -173,3 +172,15 @@ def read():
 def read_page(read):
     """The text of a page, single spaces between its words."""
     return lambda path: " ".join(" ".join(read(path.read_text()).text).split())
+
+
+@pytest.fixture
+def read_report(read_page):
+    """`read_report(folder, results)` writes the report, of these results if given; its text."""
+
+    def read_report(folder, results=None):
+        if results is not None:
+            (folder / "results.json").write_text(json.dumps(results))
+        return read_page(write_report(folder))
+
+    return read_report

@@ -10,9 +10,13 @@ from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.object_reconstruction import ReconstructedObject
 from jaxunshear.downstream.reconstruct import HeightMap, ShapeScore
 from jaxunshear.downstream.servo import CLOSED
-from jaxunshear.report.geometry_figure import plot_recordings
-from jaxunshear.report.object_figure import PICTURES, plot_objects
-from jaxunshear.report.trajectory_figure import METHOD_TITLES, plot_trajectories
+from jaxunshear.report.application_figures import (
+    METHOD_TITLES,
+    PICTURES,
+    plot_objects,
+    plot_recordings,
+    plot_trajectories,
+)
 from jaxunshear.simulator.stimuli import STIMULI
 
 PAGE_PX = 1158  # of a picture, at most
@@ -51,15 +55,8 @@ def check(figure):
 def test_objects_fit(drawn, count):
     x = np.linspace(-20, 20, 30)
     shape = np.hypot(*np.meshgrid(x, x)) < 15
-    solid = ReconstructedObject(
-        HeightMap(x, np.where(shape, 1.0, -1.0)),
-        shape,
-        shape.T,
-        ShapeScore(0.93, 0.21, 1.0, 0.9),
-        0,
-        0.0,
-        None,
-    )
+    heights, score = HeightMap(x, np.where(shape, 1.0, -1.0)), ShapeScore(0.93, 0.21, 1.0, 0.9)
+    solid = ReconstructedObject(heights, shape, shape.T, score, 0, 0.0, None)
     for _, text in PICTURES.values():
         plot_objects("teardrop", dict.fromkeys(list(METHOD_TITLES)[:count], solid), text)
     for figure in drawn:
@@ -78,9 +75,7 @@ def test_walks_fit(drawn, count):
 
 def test_heights_fit(drawn):
     place = np.stack(np.meshgrid(*[np.linspace(-9, 9, 9)] * 2), -1).reshape(-1, 2)
-    kinds = {
-        name: np.exp(-np.sum(place**2, 1) / 30)[None]
-        for name in ("sheared", *list(METHOD_TITLES)[2:7])
-    }
+    height = np.exp(-np.sum(place**2, 1) / 30)[None]
+    kinds = dict.fromkeys(("sheared", *list(METHOD_TITLES)[2:7]), height)
     plot_recordings(SimpleNamespace(rest=place), (["a/recording.png"], kinds))
     check(*drawn)

@@ -11,15 +11,15 @@ import pytest
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.targets import make_label_targets
 from jaxunshear.evaluation.contact_scores import ContactScores
+from jaxunshear.evaluation.evaluate import encode_montage
 from jaxunshear.evaluation.measurements import round_values
-from jaxunshear.evaluation.recorded_results import build_recorded_results
-from jaxunshear.evaluation.recorded_scores import (
+from jaxunshear.evaluation.recorded_evaluation import convert_montage_labels
+from jaxunshear.evaluation.recorded_results import (
     RecordedScores,
     RecordedTest,
-    convert_montage_labels,
+    build_recorded_results,
 )
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
-from jaxunshear.evaluation.score_files import encode_montage
 from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.report.report import write_report
 from jaxunshear.results.record_files import convert_record
@@ -32,6 +32,7 @@ ERRORS = {"partner": 0.9, "sheared": 4.0, "sheared_learnt": 1.5, "disentangled":
 SCALE = {"y_mm": 0.1, "z_mm": 0.04, "Rz_deg": 2.0}
 LIKENESS = {"sheared": 0.683, "disentangled": 0.979}
 FOLDER = "day <script>alert(1)</script>"
+LEARNT = "learnt from slides directly"
 BOTH = ("disentangled", "posenet", "posenet_sheared")
 
 
@@ -78,9 +79,7 @@ def gathered(networks, pairing, over, shown):
 
 def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     """A finished run in `folder`; returns its results."""
-    settings = Recorded(
-        tap_folder=FOLDER, slide_folder=FOLDER, digest="12ab", pairing=pairing or "rendered"
-    )
+    settings = Recorded(FOLDER, FOLDER, "12ab", pairing=pairing or "rendered")
     experiment = replace(
         BASE_EXPERIMENT,
         name="laboratory",
@@ -107,29 +106,24 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
         metadata={"counts": counts, "pins": {"sure": 0.9927}, "notes": ["labels <b>lack</b> Rx"]},
     )
     gap = np.full((COUNT, 6), 0.42)
-    reader = SimpleNamespace(
-        length=lambda split: COUNT, take=lambda split, rows, names: {"gap": gap}
-    )
+    reader = SimpleNamespace(length=lambda split: COUNT, take=lambda *_: {"gap": gap})
     targets = make_label_targets((), poses(np.random.default_rng(2), 200))
     readers = (reader if slides else None, reader if taps else None)
     test = RecordedTest(*readers, bool(slides and pairing), "same session")
-    results = round_values(
-        to_builtins(
-            build_recorded_results(experiment, stored, targets, RecordedScores(slides, taps), test)
-        )
-        | {
-            "ms_per_image": {"posenet": {"median": 0.04, "p95": 0.12}},
-            "time_s": {"posenet": 341.0, "evaluate": 20.0},
-            "machine": {"processor": "none", "cores": 2, "device": "cpu: cpu"},
-            "versions": {"python": "3.11.7"},
-            "command": f"jaxunshear run experiments/recorded.py --recordings '{FOLDER}'",
-        }
-    )
+    scores = RecordedScores(slides, taps)
+    results = to_builtins(build_recorded_results(experiment, stored, targets, scores, test))
+    results |= {
+        "ms_per_image": {"posenet": {"median": 0.04, "p95": 0.12}},
+        "time_s": {"posenet": 341.0, "evaluate": 20.0},
+        "machine": {"processor": "none", "cores": 2, "device": "cpu: cpu"},
+        "versions": {"python": "3.11.7"},
+        "command": f"jaxunshear run experiments/recorded.py --recordings '{FOLDER}'",
+    }
+    results = round_values(results)
     (folder / "results.json").write_text(json.dumps(results))
     if slides and pairing:
-        (folder / "montage.npz").write_bytes(
-            encode_montage(("recorded",), convert_montage_labels(slides))
-        )
+        montage = encode_montage(("recorded",), convert_montage_labels(slides))
+        (folder / "montage.npz").write_bytes(montage)
     (folder / "posenet").mkdir()
     line = {"epoch": 1, "train_seconds": 3.0, "train": {"pose": 0.2}}
     line["validation"] = {"pose": 0.1, "y_mm": 0.3}
@@ -137,9 +131,9 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     return results
 
 
-def test_of_taps_and_slides_all_is_reported(tmp_path, read_page):
+def test_of_taps_and_slides_all_is_reported(tmp_path, read_report):
     results = make_run(tmp_path)
-    text = read_page(write_report(tmp_path))
+    text = read_report(tmp_path)
     for kind, row in results["pose_mae"].items():
         for name, value in row.items():
             assert f"{value:.{3 if name.endswith('_mm') else 2}f}" in text, (kind, name)
@@ -165,15 +159,15 @@ def test_of_taps_and_slides_all_is_reported(tmp_path, read_page):
     assert (tmp_path / "montage.png").exists()
 
 
-def test_a_network_is_held_against_learning_from_slides_directly(tmp_path, read_page):
+def test_a_network_is_held_against_learning_from_slides_directly(tmp_path, read_report):
     make_run(tmp_path)
-    text = read_page(write_report(tmp_path)).split("Slide by slide, ")[1]
+    text = read_report(tmp_path).split("Slide by slide, ")[1]
     assert "y worse (+0." in text and "z within chance (" in text and "Rz better (-0." in text
 
 
-def test_the_recordings_are_reported(tmp_path, read_page):
+def test_the_recordings_are_reported(tmp_path, read_report):
     make_run(tmp_path, pairing="nearest")
-    text = read_page(write_report(tmp_path)).split("The recordings")[1]
+    text = read_report(tmp_path).split("The recordings")[1]
     for words in (
         *("taps 400 51 24", "slides 400 51 24", "955, 2 of them left out", "99.3%"),
         *("in 7 they are not", "frame_9.png: cannot be read", "labels <b>lack</b> Rx"),
@@ -183,26 +177,22 @@ def test_the_recordings_are_reported(tmp_path, read_page):
         assert words in text, words
 
 
-def test_half_widths_say_which_contacts_they_are_for(tmp_path, read_page):
+def test_half_widths_say_which_contacts_they_are_for(tmp_path, read_report):
     results = make_run(tmp_path)
-    widths = {
-        "half_width": {"unsheared": {"z_mm": 0.12}},
-        "coverage": {"unsheared": {"z_mm": 0.961}},
-    }
-    (tmp_path / "results.json").write_text(json.dumps(results | widths))
-    text = read_page(write_report(tmp_path)).split("How far an answer may be off")[1]
+    results["half_width"] = {"unsheared": {"z_mm": 0.12}}
+    results["coverage"] = {"unsheared": {"z_mm": 0.961}}
+    text = read_report(tmp_path, results).split("How far an answer may be off")[1]
     assert "0.12 (96.1%)" in text and "validation contacts of the same session" in text
     assert "On other recordings of a public edge" in text and "82 % of z" in text
 
 
-def test_a_run_of_an_earlier_version_was_tested_on_its_own_session(tmp_path, read_page):
+def test_a_run_of_an_earlier_version_was_tested_on_its_own_session(tmp_path, read_report):
     results = make_run(tmp_path)
     for split, words in ((None, "random split"), ("block", "block of poses")):
         results |= {"test_data": None}
         results["settings"]["paired"].pop("split")
         results["settings"]["paired"] |= {"split": split} if split else {}
-        (tmp_path / "results.json").write_text(json.dumps(results))
-        text = read_page(write_report(tmp_path))
+        text = read_report(tmp_path, results)
         assert f"all figures are of test (same session, {words})" in text
         results["settings"]["paired"]["split"] = split
 
@@ -218,25 +208,24 @@ def test_names_are_escaped(tmp_path):
 @pytest.mark.parametrize(
     ("pairing", "over"), [("rendered", False), ("nearest", False), ("pose_id", True)]
 )
-def test_the_papers_columns_are_of_its_own_quantities(tmp_path, read_page, pairing, over):
+def test_the_papers_columns_are_of_its_own_quantities(tmp_path, read_report, pairing, over):
     make_run(tmp_path, pairing=pairing, over=over)
-    path = write_report(tmp_path)
-    text = read_page(path)
-    assert "class=real" not in path.read_text() and "tinted" not in text
+    text = read_report(tmp_path)
+    assert "class=real" not in (tmp_path / "report.html").read_text() and "tinted" not in text
     assert "22.20" not in text and "0.93 0.9" not in text
 
 
 @pytest.mark.parametrize("pairing", ["pose_id", "file"])
-def test_the_papers_likeness_stands_beside_that_to_recorded_taps(tmp_path, read_page, pairing):
+def test_the_papers_likeness_stands_beside_that_to_recorded_taps(tmp_path, read_report, pairing):
     make_run(tmp_path, pairing=pairing)
-    text = read_page(write_report(tmp_path))
+    text = read_report(tmp_path)
     shown = ("tinted columns", "overall paper", "MSE paper", "tap (truth)")
     assert all(words in text for words in shown) and "22.20" not in text
 
 
-def test_pins_are_reported_by_name_and_in_px_alone(tmp_path, read_page):
+def test_pins_are_reported_by_name_and_in_px_alone(tmp_path, read_report):
     make_run(tmp_path, over=True)
-    text = read_page(write_report(tmp_path))
+    text = read_report(tmp_path)
     part = text.split("Where the pins are")[1].split("The recordings")[0]
     assert "slides, unsheared (disentangled) 0.06" in part and "1.05" in part
     assert "mm" not in part and "missed" not in part
@@ -244,14 +233,13 @@ def test_pins_are_reported_by_name_and_in_px_alone(tmp_path, read_page):
         assert words in text
 
 
-def test_pins_found_in_images_are_counted(tmp_path, read_page):
+def test_pins_found_in_images_are_counted(tmp_path, read_report):
     results = make_run(tmp_path)
     title = "Where the pins are"
-    assert title not in read_page(write_report(tmp_path))  # none was followed for sure
+    assert title not in read_report(tmp_path)  # none was followed for sure
     found = {"rms_px": 0.5, "rms_mm": None, "missed_per_image": 1.5, "extra_per_image": 2.5}
     results["pin_error"] = {"tap": found, "disentangled": found, "true_slide": {"rms_px": 1.0}}
-    (tmp_path / "results.json").write_text(json.dumps(results))
-    part = read_page(write_report(tmp_path)).split(title)[1].split("The recordings")[0]
+    part = read_report(tmp_path, results).split(title)[1].split("The recordings")[0]
     assert "partner 0.50 1.5 2.5" in part and "mm rms" not in part
 
 
@@ -259,17 +247,12 @@ def test_pins_found_in_images_are_counted(tmp_path, read_page):
     ("network", "kind", "note", "absent"),
     [
         ("posenet", "tap", "taps", ("slides 400", "How alike", "Where the pins")),
-        (
-            "posenet_sheared",
-            "sheared_learnt",
-            "learnt from slides directly",
-            ("taps 400", "Slide by slide"),
-        ),
+        ("posenet_sheared", "sheared_learnt", LEARNT, ("taps 400", "Slide by slide")),
     ],
 )
-def test_of_one_kind_alone_poses_are_reported(tmp_path, read_page, network, kind, note, absent):
+def test_of_one_kind_alone_poses_are_reported(tmp_path, read_report, network, kind, note, absent):
     results = make_run(tmp_path, networks=(network,), pairing="")
-    text = read_page(write_report(tmp_path))
+    text = read_report(tmp_path)
     assert f"{results['pose_mae'][kind]['z_mm']:.2f} mm {note}" in text
     tested, lesson = {"tap": ("taps", "taps")}.get(kind, ("slides", "labelled slides"))
     assert f"out of training: 24 {tested} (same session, random split)." in text
@@ -279,20 +262,19 @@ def test_of_one_kind_alone_poses_are_reported(tmp_path, read_page, network, kind
     assert not (tmp_path / "montage.png").exists()
 
 
-def test_a_harmless_slide_leaves_no_recovery(tmp_path, read_page):
+def test_a_harmless_slide_leaves_no_recovery(tmp_path, read_report):
     results = make_run(tmp_path)
     for table in (results["pose_recovery"], results["spread"]["pose_recovery"]):
         for kind in ("disentangled", "unsheared"):
             table[kind]["y_mm"] = None
-    (tmp_path / "results.json").write_text(json.dumps(results))
-    assert "y none, as slides do no harm; z 0." in read_page(write_report(tmp_path))
+    assert "y none, as slides do no harm; z 0." in read_report(tmp_path, results)
 
 
-def test_a_slide_of_unknown_length_is_shown_without_it(tmp_path, read_page):
+def test_a_slide_of_unknown_length_is_shown_without_it(tmp_path, read_report):
     make_run(tmp_path)
     shown = dict(np.load(tmp_path / "montage.npz"))
     np.savez(tmp_path / "montage.npz", **shown | {"move": np.full_like(shown["move"], np.nan)})
-    text = read_page(write_report(tmp_path))
+    text = read_report(tmp_path)
     assert "nan" not in text.split("What it does")[1].split("alike")[0] and "recorded z " in text
 
 

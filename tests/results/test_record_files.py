@@ -28,9 +28,8 @@ def test_what_is_written_is_read(tmp_path):
     assert read_record(tmp_path / "results.json", Results, "again") == RESULTS
     held = json.loads((tmp_path / "results.json").read_text())
     assert held["schema"] == SCHEMA and held["pin_error"]["tap"] == {"rms_px": 0.5, "rms_mm": None}
-    assert (
-        "recordings" not in held and "kernels" not in held["machine"]
-    )  # None is left out where that is the default
+    # None is left out where that is the default
+    assert "recordings" not in held and "kernels" not in held["machine"]
 
 
 def test_a_file_without_a_form_is_of_the_first(tmp_path):

@@ -40,10 +40,7 @@ def steps(tmp_path):
 
     def count() -> Counter:
         path = tmp_path / "data" / "steps.txt"
-        return (
-            Counter(tuple(line.split()) for line in path.read_text().splitlines())
-            if path.exists()
-            else Counter()
-        )
+        lines = path.read_text().splitlines() if path.exists() else ()
+        return Counter(tuple(line.split()) for line in lines)
 
     return count

@@ -37,6 +37,7 @@ from jaxunshear.sweep.grid import format_training_name
 WORKER = (sys.executable, str(Path(__file__).resolve()))
 STEPS = 10
 CONTACTS, SLIDES = 24, 2
+TRAINED_BY = {"version": "0", "date": "2000-01-01"}
 BASE = Experiment(name="small", claim="none", networks=("disentangled", "posenet"))
 SWEEP = Sweep(
     name="small",
@@ -72,9 +73,9 @@ def train(experiment, network, folder, data):
     write_json(place / "model.json", {"origin": describe_set(config.source, config.sensor)})
     part = format_training_name(config)
     checkpoint = place / "checkpoint.json"
-    state = (
-        read_json(checkpoint) if checkpoint.exists() else {"step": 0, "value": int(part[-8:], 16)}
-    )
+    state = {"step": 0, "value": int(part[-8:], 16)}
+    if checkpoint.exists():
+        state = read_json(checkpoint)
     while state["step"] < STEPS:
         time.sleep(float(os.environ.get("STAND_IN_PAUSE", "0")))
         with (data / "steps.txt").open("a") as steps:
@@ -123,30 +124,19 @@ def evaluate(experiment, folder):
         "settings": to_json(experiment),
         "tests": {},
         "pin_error": {"disentangled": {"rms_px": float(random.random())}},
-        "ms_per_image": {network: {"median": 1.0, "p95": 2.0} for network in experiment.networks},
+        "ms_per_image": {name: {"median": 1.0, "p95": 2.0} for name in experiment.networks},
         "machine": {"device": "none"},
         "versions": {"jaxunshear": "0"},
         "source": read_source(),
-        "trained_by": {
-            network: {"version": "0", "date": "2000-01-01"} for network in experiment.networks
-        },
+        "trained_by": dict.fromkeys(experiment.networks, TRAINED_BY),
     }
     return convert_record(to_builtins(found), Results, "made up", "again")
 
 
 def ablate(experiment, folder, data, command):
     value = read_json(folder / "disentangled" / "summary.json")["value"]
-    return {
-        "rows": [
-            {
-                "name": "DS(z_p,0)",
-                "target": "sheared",
-                "paper": None,
-                "ssim": value / 2**31,
-                "ssim interval": [0, 1],
-            }
-        ]
-    }
+    row = {"name": "DS(z_p,0)", "target": "sheared", "paper": None, "ssim": value / 2**31}
+    return {"rows": [row | {"ssim interval": [0, 1]}]}
 
 
 def measure_leakage(experiment, folder, data, command, controls):
@@ -159,26 +149,24 @@ def build_sweep_rows(found):
 
 def main():
     if sys.argv[1] == "sweep":
-        from jaxunshear.sweep import engines
-        from jaxunshear.sweep.run import run_sweep
+        from jaxunshear.sweep.run import make_ray_engine, run_sweep
 
         out = Path(sys.argv[2])
         (out / "data").mkdir(parents=True, exist_ok=True)
         failing = replace(SWEEP, grid=SWEEP.grid[:1], rows=((("train.learning_rate", 0.5),),))
-        more = {"engine": engines.make_ray_engine(None, 1)} if sys.argv[3:] == ["ray"] else {}
+        more = {"engine": make_ray_engine(None, 1)} if sys.argv[3:] == ["ray"] else {}
         retry = sys.argv[3:] == ["retry"]
         summary = run_sweep(
             failing, out, out / "data", "none", retry_failed=retry, worker=WORKER, **more
         )
         print(json.dumps(to_builtins(summary)))
         return 0
-    for name, function in {
-        "code_swaps": ablate,
-        "leakage": measure_leakage,
-        "leakage_table": build_sweep_rows,
+    for name, functions in {
+        "code_swaps": [ablate],
+        "leakage": [measure_leakage, build_sweep_rows],
     }.items():
         module = sys.modules[f"jaxunshear.evaluation.{name}"] = type(sys)(name)
-        setattr(module, function.__name__, function)
+        vars(module).update({function.__name__: function for function in functions})
     worker.keep_freed_memory = lambda: None  # would import JAX
     worker.run_stages = run_stages
     worker._check_checkpoints = check_checkpoints

@@ -12,12 +12,7 @@ from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.config.sweep import Sweep, check_sweep
 from jaxunshear.errors import UserError
 from jaxunshear.fit import BASE_EXPERIMENT as RECORDED
-from jaxunshear.sweep.grid import (
-    compute_row_digest,
-    find_reference,
-    list_cells,
-    list_rows,
-)
+from jaxunshear.sweep.grid import compute_row_digest, find_reference, list_cells, list_rows
 
 BASE = Experiment(name="plain", claim="none")
 PLAIN = Sweep(name="plain", claim="none", base=BASE)
@@ -42,11 +37,8 @@ def test_a_grid_has_every_value_with_every_other():
     assert len(rows) == len({row.digest for row in rows.values()}) == 12
     for (label, seed), row in rows.items():
         validate(row.experiment)  # its name can be that of a folder
-        assert (
-            row.experiment.seed == seed
-            and row.label == label
-            and row.experiment.name.endswith(f"-{row.digest}")
-        )
+        assert (row.label, row.experiment.seed) == (label, seed)
+        assert row.experiment.name.endswith(f"-{row.digest}")
 
 
 def test_short_names_are_dotted_where_two_would_be_the_same():
@@ -57,13 +49,10 @@ def test_short_names_are_dotted_where_two_would_be_the_same():
 
 
 def test_a_long_label_still_makes_a_folder():
-    names = tuple(
-        f"paired.nuisance.{name}"
-        for name in ("blur_px", "noise", "brightness", "drift_px", "drift_brightness")
-    )
-    sweep = replace(
-        PLAIN, rows=(((names, (0.5, 0.125, 0.125, 0.125, 0.125)),),), seeds=(2**31 - 1,)
-    )
+    fields = ("blur_px", "noise", "brightness", "drift_px", "drift_brightness")
+    names = tuple(f"paired.nuisance.{name}" for name in fields)
+    row = ((names, (0.5, 0.125, 0.125, 0.125, 0.125)),)
+    sweep = replace(PLAIN, rows=(row,), seeds=(2**31 - 1,))
     (row,) = list_rows(sweep, list_cells(sweep)).values()
     assert row.experiment.name.endswith(f"_seed-2147483647-{row.digest}") and len(row.label) > 75
     validate(row.experiment)
@@ -77,12 +66,8 @@ def test_equal_rows_are_one():
     )
     assert BASE.train.batch == 16 and BASE.train.losses["patch"] == 0.1
     cells = list_cells(sweep)
-    assert [cell.label for cell in cells] == [
-        "patch=0.1",
-        "patch=1",
-        "patch=1.0",
-        "batch=16",
-    ]
+    labels = ["patch=0.1", "patch=1", "patch=1.0", "batch=16"]
+    assert [cell.label for cell in cells] == labels
     digests = [row.digest for row in list_rows(sweep, cells).values()]
     assert digests[0] == digests[3] and digests[1] == digests[2] and len(set(digests)) == 2
 
@@ -94,11 +79,8 @@ def test_rows_can_be_given_labels():
     assert [cell.label for cell in cells] == ["small batch", "as it is"]
     assert cells[0].experiment.train.batch == 4
     assert find_reference(sweep, cells) == "as it is"
-    for labels, line in (
-        (("one",), "one for each of the 2 rows"),
-        (("a", "a"), "twice"),
-        (("a", 1), "texts"),
-    ):
+    refused = {("one",): "one for each of the 2 rows", ("a", "a"): "twice", ("a", 1): "texts"}
+    for labels, line in refused.items():
         with pytest.raises(UserError, match=line):
             check_sweep(replace(sweep, labels=labels), "file.py")
 
@@ -118,22 +100,17 @@ def _value(base: Experiment, name: str) -> object:
 )
 def test_every_setting_decides_the_digest_but_names_and_order(base, other):
     digest = compute_row_digest(base, False)
-    assert digest == compute_row_digest(
-        replace(base, name="x", claim="y", networks=base.networks[::-1]), False
-    )
+    renamed = replace(base, name="x", claim="y", networks=base.networks[::-1])
+    assert digest == compute_row_digest(renamed, False)
     assert digest != compute_row_digest(base, True)
     assert _value(base, other) is None
+    change = {bool: lambda v: not v, int: lambda v: v + 1, float: lambda v: v + 0.5}
+    change[str] = lambda v: v + "x"
     for name, kind in list_field_types():
         value = _value(base, name)
         if name in ("name", "claim", "sensor") or value is None:  # None: of the other kind of data
             continue
-        changing = {
-            bool: lambda v: not v,
-            int: lambda v: v + 1,
-            float: lambda v: v + 0.5,
-            str: lambda v: v + "x",
-        }.get(kind)
-        changed = changing(value) if changing else ("x",)
+        changed = change[kind](value) if kind in change else ("x",)
         assert compute_row_digest(replace_field(base, name, changed), False) != digest, name
 
 

@@ -12,23 +12,22 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.sweep import engines
-from jaxunshear.sweep.summary import select_reproducible
+from jaxunshear.sweep.run import make_ray_engine
+from tests.helpers.reproducible import select_sweep
 
 
 def test_without_ray_it_says_how_to_get_it(absent):
     absent("ray")
     with pytest.raises(UserError, match=r"--engine ray needs Ray: pip install .*\[ray\]"):
-        engines.make_ray_engine(None, 1)
+        make_ray_engine(None, 1)
 
 
 def test_a_cluster_that_is_not_there_is_one_line_at_once():
     pytest.importorskip("ray")
     for address in ("127.0.0.1:1", "ray://127.0.0.1:1", "127.0.0.1:port"):
-        with pytest.raises(
-            UserError, match=f"--ray-address {address}: no cluster answers there"
-        ) as refusal:
-            engines.make_ray_engine(address, 1)
+        line = f"--ray-address {address}: no cluster answers there"
+        with pytest.raises(UserError, match=line) as refusal:
+            make_ray_engine(address, 1)
         assert "\n" not in str(refusal.value)
 
 
@@ -39,13 +38,10 @@ def test_workers_that_are_killed_change_nothing(stand_in, tmp_path):
     No other step than theirs is done twice.
     """
     pytest.importorskip("ray")
-    serial = subprocess.run(
-        [*stand_in.WORKER, "sweep", str(tmp_path / "serial")], capture_output=True, check=True
-    )
-    words = [*stand_in.WORKER, "sweep", str(tmp_path / "ray"), "ray"]
-    process = subprocess.Popen(
-        words, stdout=subprocess.PIPE, env=os.environ | {"STAND_IN_PAUSE": "0.2"}
-    )
+    sweep, pause = [*stand_in.WORKER, "sweep"], os.environ | {"STAND_IN_PAUSE": "0.2"}
+    serial = subprocess.run([*sweep, tmp_path / "serial"], capture_output=True, check=True)
+    words = [*sweep, tmp_path / "ray", "ray"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, env=pause)
     killed: set[int] = set()
     while len(killed) < 2 and process.poll() is None:
         time.sleep(0.5)
@@ -57,9 +53,8 @@ def test_workers_that_are_killed_change_nothing(stand_in, tmp_path):
     out, _ = process.communicate(timeout=300)
     assert process.returncode == 0 and len(killed) == 2
     found = convert_record(json.loads(out.splitlines()[-1]), SweepResult, "it", "again")
-    assert select_reproducible(found) == select_reproducible(
-        convert_record(json.loads(serial.stdout), SweepResult, "it", "again")
-    )
+    expected = convert_record(json.loads(serial.stdout), SweepResult, "it", "again")
+    assert select_sweep(found) == select_sweep(expected)
     lines = (tmp_path / "ray" / "data" / "steps.txt").read_text().splitlines()
     assert len(lines) - len(set(lines)) <= len(killed)
 

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,18 +26,28 @@ from jaxunshear.results.sweep import SweepResult
 from jaxunshear.serialization import to_builtins
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.grid import list_cells, list_rows
-from jaxunshear.sweep.summary import select_reproducible
-from jaxunshear.sweep.summary_table import format_table
+from jaxunshear.sweep.summary import format_table
 from jaxunshear.sweep.tasks import LOCK, TASK
+from tests.helpers.reproducible import select_sweep
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "jaxunshear" / "weights"
+PATCHES = (("train.losses.patch", (0.0, 0.1)),)
 
 
 def rows(tmp_path: Path) -> dict[str, dict]:
-    return {
-        path.parent.name: read_json(path)
-        for path in (tmp_path / "small" / "rows").glob("*/row.json")
-    }
+    found = (tmp_path / "small" / "rows").glob("*/row.json")
+    return {path.parent.name: read_json(path) for path in found}
+
+
+def count_trained(steps: Counter, network: str) -> int:
+    """How many trainings of a network did a step."""
+    return len({name for name, _ in steps if name.startswith(network)})
+
+
+@pytest.fixture
+def one_cell(stand_in):
+    """A sweep of one cell and one seed."""
+    return replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.1,)),), seeds=(0,))
 
 
 def test_every_row_is_done_once_and_what_rows_share_is_trained_once(
@@ -44,23 +55,19 @@ def test_every_row_is_done_once_and_what_rows_share_is_trained_once(
 ):
     summary = swept(stand_in.SWEEP)
     assert [len(cell.seeds) for cell in summary.cells] == [2, 2, 2, 2]
-    assert read_json(tmp_path / "small" / "sweep.json") == {"schema": SCHEMA} | json.loads(
-        json.dumps(to_builtins(summary))
-    )
+    stored = json.loads(json.dumps(to_builtins(summary)))
+    assert read_json(tmp_path / "small" / "sweep.json") == {"schema": SCHEMA} | stored
     assert (tmp_path / "small" / "sweep.png").exists()
     assert {(found.version, found.date) for found in summary.sources} == {
         ("0", "2000-01-01"),  # that trained
         (read_source().version, read_source().date),
     }
     assert set(steps().values()) == {1}
-    trained = {name for name, _ in steps()}
-    assert sum(name.startswith("posenet") for name in trained) == 2  # a seed each
-    assert sum(name.startswith("disentangled") for name in trained) == 8
-    (row,) = (
-        row
-        for name, row in rows(tmp_path).items()
-        if "patch-0.1" in name and "8-120_seed-1" in name
-    )
+    assert count_trained(steps(), "posenet") == 2  # a seed each
+    assert count_trained(steps(), "disentangled") == 8
+    found = rows(tmp_path)
+    (name,) = [name for name in found if "patch-0.1" in name and "8-120_seed-1" in name]
+    row = found[name]
     assert (row["status"], row["reason"], row["seed"]) == ("done", None, 1)
     assert row["label"] == "patch=0.1, pose_channels:shear_channels=8:120"
     assert row["settings"]["train"]["losses"]["patch"] == 0.1 and row["settings"]["seed"] == 1
@@ -70,25 +77,21 @@ def test_every_row_is_done_once_and_what_rows_share_is_trained_once(
 
 
 def test_a_second_time_nothing_is_done(stand_in, swept, steps, tmp_path):
-    sweep = replace(stand_in.SWEEP, grid=stand_in.SWEEP.grid[:1], seeds=(0,))
+    def list_times():
+        found = (tmp_path / "small" / "rows").rglob("*")
+        return {path: path.stat().st_mtime_ns for path in found}
+
+    sweep = replace(stand_in.SWEEP, grid=PATCHES, seeds=(0,))
     first = swept(sweep)
-    done, times = (
-        steps(),
-        {path: path.stat().st_mtime_ns for path in (tmp_path / "small" / "rows").rglob("*")},
-    )
-    again = swept(sweep)
-    assert again == first and steps() == done
-    assert times == {
-        path: path.stat().st_mtime_ns for path in (tmp_path / "small" / "rows").rglob("*")
-    }
+    done, times = steps(), list_times()
+    assert swept(sweep) == first and steps() == done and list_times() == times
 
 
 def test_weights_that_may_know_the_test_are_refused_before_any_row(
     stand_in, swept, steps, tmp_path
 ):
-    older = shutil.copytree(
-        WEIGHTS / "standard" / "disentangled", tmp_path / "older" / "disentangled"
-    )
+    weights = WEIGHTS / "standard" / "disentangled"
+    older = shutil.copytree(weights, tmp_path / "older" / "disentangled")
     model = read_json(older / "model.json")
     del model["data"]
     write_json(older / "model.json", model)
@@ -99,56 +102,42 @@ def test_weights_that_may_know_the_test_are_refused_before_any_row(
 
 
 @pytest.mark.long
-def test_more_cells_seeds_and_other_labels_keep_the_rows_that_are_there(stand_in, swept, steps):
-    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.1,)),), seeds=(0,))
-    swept(sweep)  # trains its PoseNet in the row: no other needs it yet
+def test_more_cells_seeds_and_other_labels_keep_the_rows_that_are_there(one_cell, swept, steps):
+    swept(one_cell)  # trains its PoseNet in the row: no other needs it yet
     assert sum(steps().values()) == 20
-    swept(replace(sweep, grid=(("train.losses.patch", (0.0, 0.1)),)))
+    swept(replace(one_cell, grid=PATCHES))
     assert sum(steps().values()) == 30  # the new cell's disentangled network
-    swept(
-        replace(sweep, grid=(), rows=((), (("train.batch", 8),)), seeds=(0, 1))
-    )  # () is the base: 0.1 by another label
+    labelled = ((), (("train.batch", 8),))  # () is the base: 0.1 by another label
+    swept(replace(one_cell, grid=(), rows=labelled, seeds=(0, 1)))
     assert set(steps().values()) == {1}
     assert sum(steps().values()) == 30 + 10 + (10 + 10) + 10
 
 
-def test_trainings_on_an_earlier_version_of_the_data_are_not_used_again(
-    stand_in, swept, steps, tmp_path
-):
-    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.1,)),), seeds=(0,))
-    swept(sweep)
-    for path in (tmp_path / "small" / "rows").glob("*/posenet/model.json"):
-        model = read_json(path)
-        write_json(path, {"origin": model["origin"] | {"version": "0.9.0"}})
-    before = steps()
-    swept(replace(sweep, grid=(("train.losses.patch", (0.0, 0.1)),)))
-    again = [name for name, _ in steps() - before]
-    assert sum(name.startswith("posenet") for name in again) == 10
-
-
 @pytest.mark.parametrize(
-    "damaged", ["{", *(pytest.param(damage, marks=pytest.mark.long) for damage in ("[]", None))]
+    "damaged",
+    ["version", "{", *(pytest.param(damage, marks=pytest.mark.long) for damage in ("[]", None))],
 )
-def test_a_training_whose_model_is_damaged_is_not_used_again(
-    stand_in, swept, steps, tmp_path, damaged
+def test_trainings_of_another_version_or_with_a_damaged_model_are_not_used_again(
+    one_cell, swept, steps, tmp_path, damaged
 ):
-    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.1,)),), seeds=(0,))
-    swept(sweep)
-    for path in (tmp_path / "small" / "rows").glob("*/posenet/model.json"):
-        path.write_text(damaged) if damaged else path.unlink()
+    swept(one_cell)
+    (path,) = (tmp_path / "small" / "rows").glob("*/posenet/model.json")
+    if damaged == "version":
+        write_json(path, {"origin": read_json(path)["origin"] | {"version": "0.9.0"}})
+    elif damaged:
+        path.write_text(damaged)
+    else:
+        path.unlink()
     before = steps()
-    swept(replace(sweep, grid=(("train.losses.patch", (0.0, 0.1)),)))
+    swept(replace(one_cell, grid=PATCHES))
     again = [name for name, _ in steps() - before]
     assert sum(name.startswith("posenet") for name in again) == 10
 
 
 @pytest.mark.long
-def test_a_training_that_lost_its_checkpoints_is_the_one_to_delete(
-    stand_in, swept, steps, tmp_path
-):
-    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.1,)),), seeds=(0,))
-    more = replace(sweep, grid=(("train.losses.patch", (0.0, 0.1)),))
-    swept(sweep)
+def test_a_training_that_lost_its_checkpoints_is_the_one_to_delete(one_cell, swept, tmp_path):
+    more = replace(one_cell, grid=PATCHES)
+    swept(one_cell)
     (lost,) = (tmp_path / "small" / "rows").glob("*/posenet/checkpoint.json")
     lost.unlink()
     (failed,) = (cell.failures[0].reason for cell in swept(more).cells if cell.failures)
@@ -159,29 +148,18 @@ def test_a_training_that_lost_its_checkpoints_is_the_one_to_delete(
 
 
 def test_a_teacher_that_rows_share_is_trained_once(stand_in, swept, steps):
-    taught = replace(
-        stand_in.BASE,
-        train=replace(stand_in.BASE.train, losses={**stand_in.BASE.train.losses, "pose_tap": 0.1}),
-    )
-    swept(
-        replace(
-            stand_in.SWEEP,
-            base=taught,
-            grid=(("networks", (("disentangled", "posenet"), ("disentangled",))),),
-            seeds=(0,),
-        )
-    )
+    losses = {**stand_in.BASE.train.losses, "pose_tap": 0.1}
+    taught = replace(stand_in.BASE, train=replace(stand_in.BASE.train, losses=losses))
+    grid = (("networks", (("disentangled", "posenet"), ("disentangled",))),)
+    swept(replace(stand_in.SWEEP, base=taught, grid=grid, seeds=(0,)))
     assert set(steps().values()) == {1}
-    assert sorted(name.partition("_seed")[0] for name, step in steps() if step == "0") == [
-        "disentangled",
-        "posenet",
-        "posenet_teacher",
-    ]
+    trained = sorted(name.partition("_seed")[0] for name, step in steps() if step == "0")
+    assert trained == ["disentangled", "posenet", "posenet_teacher"]
 
 
 @pytest.mark.long
 def test_memory_is_that_of_the_trainings_too(stand_in, swept, tmp_path):
-    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.0, 0.1)),), seeds=(0,))
+    sweep = replace(stand_in.SWEEP, grid=PATCHES, seeds=(0,))
     swept(sweep)
     (path,) = (tmp_path / "small" / "shared").glob("posenet*/training.json")
     write_json(path, read_json(path) | {"peak_memory_bytes": 10**15})
@@ -215,22 +193,17 @@ def test_seeds_that_were_tested_on_different_contacts_are_refused(
 
 
 def test_data_are_made_once_and_for_a_teacher_too(stand_in, tmp_path):
-    sweep = replace(
-        stand_in.SWEEP,
-        grid=(("train.losses.pose_tap", (0.1, 1.0)),),
-        seeds=(0,),
-        networks=("disentangled",),
-    )
-    task = plan.make_data_task(
-        tmp_path, list(list_rows(sweep, list_cells(sweep)).values()), tmp_path
-    )
+    grid = (("train.losses.pose_tap", (0.1, 1.0)),)
+    sweep = replace(stand_in.SWEEP, grid=grid, seeds=(0,), networks=("disentangled",))
+    order = list(list_rows(sweep, list_cells(sweep)).values())
+    task = plan.make_data_task(tmp_path, order, tmp_path)
     (made,) = read_json(task.folder / TASK)["experiments"]
     assert set(open_source(from_json(made)).list_sets()) == {"tactip_paired", "tactip_pose"}
 
 
 def test_a_shared_training_keeps_the_settings_that_it_began_with(stand_in, tmp_path):
     """The same sweep may go on with its rows in another order."""
-    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.0, 0.1)),), seeds=(0,))
+    sweep = replace(stand_in.SWEEP, grid=PATCHES, seeds=(0,))
     order = list(list_rows(sweep, list_cells(sweep)).values())
     shared = []
     for each in (order, order[::-1]):
@@ -261,9 +234,8 @@ def test_a_failed_row_is_reported_left_alone_and_tried_again_when_asked(
     assert swept(sweep) == summary and steps() == done
     assert swept(sweep, retry_failed=True).cells[1:] == summary.cells[1:]
     tried = steps() - done
-    assert sum(tried.values()) == 3 and {step for _, step in tried} == {
-        "5"
-    }  # each from its checkpoint
+    assert sum(tried.values()) == 3
+    assert {step for _, step in tried} == {"5"}  # each from its checkpoint
 
 
 @pytest.mark.parametrize("shared", [False, True])
@@ -302,12 +274,10 @@ def test_a_shared_training_that_fails_fails_its_rows_with_its_reason(stand_in, s
 def test_a_deleted_shared_training_is_made_again(stand_in, swept, tmp_path):
     sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.0, 1.0)),), seeds=(0,))
     first = swept(sweep)
-    for path in [
-        *(tmp_path / "small" / "rows").iterdir(),
-        *(tmp_path / "small" / "shared").glob("*/posenet"),
-    ]:
+    folder = tmp_path / "small"
+    for path in [*(folder / "rows").iterdir(), *(folder / "shared").glob("*/posenet")]:
         shutil.rmtree(path)
-    assert select_reproducible(swept(sweep)) == select_reproducible(first)
+    assert select_sweep(swept(sweep)) == select_sweep(first)
 
 
 def test_two_sweeps_in_one_folder_are_refused(stand_in, swept, tmp_path):
@@ -392,12 +362,9 @@ def workers_of(folder: Path) -> list[int]:
 def test_killed_again_and_again_it_ends_with_the_same_table(stand_in, tmp_path, kill, times):
     def start(folder: Path, pause: float) -> subprocess.Popen:
         words = [*stand_in.WORKER, "sweep", str(folder)]
-        return subprocess.Popen(
-            words,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=os.environ | {"STAND_IN_PAUSE": str(pause)},
-        )
+        settings = os.environ | {"STAND_IN_PAUSE": str(pause)}
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        return subprocess.Popen(words, env=settings, **pipes)
 
     undisturbed = start(tmp_path / "full", 0)
     entire, _ = undisturbed.communicate()
@@ -420,26 +387,22 @@ def test_killed_again_and_again_it_ends_with_the_same_table(stand_in, tmp_path, 
     last = start(tmp_path / "killed", 0)
     killed, _ = last.communicate()
     assert last.returncode == 0
-    ended = [
-        convert_record(json.loads(text), SweepResult, "its output", "again")
-        for text in (killed, entire)
-    ]
-    assert select_reproducible(ended[0]) == select_reproducible(ended[1])
-    assert (tmp_path / "killed" / "small" / "sweep.png").read_bytes() == (
-        tmp_path / "full" / "small" / "sweep.png"
-    ).read_bytes()
+    ended = []
+    for text in (killed, entire):
+        record = convert_record(json.loads(text), SweepResult, "its output", "again")
+        ended.append(select_sweep(record))
+    assert ended[0] == ended[1]
+    pictures = [tmp_path / name / "small" / "sweep.png" for name in ("killed", "full")]
+    assert pictures[0].read_bytes() == pictures[1].read_bytes()
     lines = (tmp_path / "killed" / "data" / "steps.txt").read_text().splitlines()
-    assert (
-        0 <= len(lines) - len(set(lines)) <= kills
-    )  # at most the step that each kill interrupted is done again
+    # at most the step that each kill interrupted is done again
+    assert 0 <= len(lines) - len(set(lines)) <= kills
 
 
 def test_figures_of_equal_settings_are_equal_numbers(stand_in, swept):
     """Bit for bit: with a shared training, with one reused from a row, or with its own."""
-    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.0, 0.1)),), seeds=(0,))
-    grid, alone = (
-        swept(sweep),
-        swept(replace(sweep, name="alone", grid=(), rows=((("train.losses.patch", 0.0),),))),
-    )
+    sweep = replace(stand_in.SWEEP, grid=PATCHES, seeds=(0,))
+    grid = swept(sweep)
+    alone = swept(replace(sweep, name="alone", grid=(), rows=((("train.losses.patch", 0.0),),)))
     assert alone.cells[0].metrics == grid.cells[0].metrics
     assert np.isfinite(alone.cells[0].metrics["ms_ssim/disentangled"].mean)

@@ -11,17 +11,15 @@ from jaxunshear.config.sweep import Sweep
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import Failure, Figure, Outcome, SweepResult
 from jaxunshear.serialization import to_builtins
-from jaxunshear.sweep.crossed_bootstrap import compute_interval
 from jaxunshear.sweep.grid import find_reference, list_cells
-from jaxunshear.sweep.scores import RowScores
+from jaxunshear.sweep.scores import RowScores, compute_interval
 from jaxunshear.sweep.summary import (
     compute_differences,
     compute_metrics,
-    select_reproducible,
+    format_table,
     summarise,
     summarise_code_swaps,
 )
-from jaxunshear.sweep.summary_table import format_table
 
 SWEEP = Sweep(
     name="small",
@@ -54,15 +52,7 @@ def done(values: np.ndarray, **more) -> RowScores:
             "tests": {"unseen": {"stimuli": ["flower", "leaf"], "tap_depth_jitter_mm": 0.0}},
             "pin_error": {"disentangled": {"rms_px": float(values[0]), "rms_mm": None}},
         },
-        "ablation": [
-            {
-                "name": "DS(z_p,0)",
-                "target": "tap",
-                "ssim": float(values[1]),
-                "ssim interval": [0, 1],
-                "paper": None,
-            }
-        ],
+        "ablation": [{"name": "DS(z_p,0)", "ssim": float(values[1]), "ssim interval": [0, 1]}],
         "train_seconds": {"disentangled": 50.0},
         "images_per_second": {"disentangled": 100.0},
         "ms_per_image": {"disentangled": {"median": 5.0, "p95": 6.0}},
@@ -72,10 +62,8 @@ def done(values: np.ndarray, **more) -> RowScores:
         "host": "here",
     }
     unseen = {NAME: 2 * values[:4], "stimulus": np.zeros(4, int), "pose_id": np.arange(4)}
-    return RowScores(
-        convert_record(outcome | more, Outcome, "row.json", "again"),
-        {"": {NAME: values} | LABELS, "unseen": unseen},
-    )
+    record = convert_record(outcome | more, Outcome, "row.json", "again")
+    return RowScores(record, {"": {NAME: values} | LABELS, "unseen": unseen})
 
 
 def failed(reason: str) -> RowScores:
@@ -97,11 +85,9 @@ def random(seed: int) -> np.ndarray:
 @pytest.fixture
 def summary():
     cells = list_cells(SWEEP)
-    rows = {
-        (cell.label, seed): done(random(10 * number + seed))
-        for number, cell in enumerate(cells)
-        for seed in (0, 1)
-    }
+    rows = {}
+    for number, cell in enumerate(cells):
+        rows |= {(cell.label, seed): done(random(10 * number + seed)) for seed in (0, 1)}
     rows[cells[2].label, 1] = failed("killed by signal 9")
     return summarise(SWEEP, cells, rows, find_reference(SWEEP, cells))
 
@@ -112,9 +98,8 @@ def test_likeness_is_reported_for_every_shape_too(summary):
     assert found[f"clover: {NAME}"].mean == pytest.approx(both[:, POSES % 3 == 1].mean())
     low, high = found[f"clover: {NAME}"].interval
     assert low < found[f"clover: {NAME}"].mean < high
-    assert (
-        f"unseen, flower: {NAME}" in found and f"unseen, leaf: {NAME}" not in found
-    )  # no contact with it
+    assert f"unseen, flower: {NAME}" in found
+    assert f"unseen, leaf: {NAME}" not in found  # no contact with it
 
 
 def test_recovery_is_of_the_means_with_an_interval_of_its_own():
@@ -125,14 +110,11 @@ def test_recovery_is_of_the_means_with_an_interval_of_its_own():
     }
 
     def recovered(errors):
-        scores = [
-            {f"pose/{kind}/x_mm": values[seed] for kind, values in errors.items()}
-            for seed in range(5)
-        ]
-        rows = {seed: done(random(0)) for seed in range(5)}
-        return compute_metrics(
-            {seed: row._replace(tests={"": scores[seed] | LABELS}) for seed, row in rows.items()}
-        )
+        rows = {}
+        for seed in range(5):
+            scores = {f"pose/{kind}/x_mm": values[seed] for kind, values in errors.items()}
+            rows[seed] = done(random(0))._replace(tests={"": scores | LABELS})
+        return compute_metrics(rows)
 
     figure = recovered(errors)["pose_recovery/unet/x_mm"]
     tap, sheared, unet = (values.mean() for values in errors.values())
@@ -140,14 +122,12 @@ def test_recovery_is_of_the_means_with_an_interval_of_its_own():
     low, high = figure.interval
     assert low < figure.mean < high and high - low < 0.1
     assert set(figure.per_seed) == {"0", "1", "2", "3", "4"}
-    clover = [values[:, POSES % 3 == 1].mean() for values in errors.values()]
-    assert recovered(errors)["clover: pose_recovery/unet/x_mm"].mean == pytest.approx(
-        (clover[1] - clover[2]) / (clover[1] - clover[0])
-    )
+    tap, sheared, unet = (values[:, POSES % 3 == 1].mean() for values in errors.values())
+    clover = recovered(errors)["clover: pose_recovery/unet/x_mm"]
+    assert clover.mean == pytest.approx((sheared - unet) / (sheared - tap))
     assert "pose_recovery/sheared/x_mm" not in recovered(errors)
-    assert "pose_recovery/unet/x_mm" not in recovered(
-        errors | {"sheared": errors["tap"] / 2}
-    )  # no damage to undo
+    harmless = errors | {"sheared": errors["tap"] / 2}  # no damage to undo
+    assert "pose_recovery/unet/x_mm" not in recovered(harmless)
 
 
 def test_edge_angles_are_also_given_where_the_edge_has_one_direction():
@@ -173,28 +153,23 @@ def test_means_are_over_seeds_and_contacts_and_each_seed_is_reported(summary):
     assert figure.per_seed == pytest.approx({"0": both[0].mean(), "1": both[1].mean()})
     assert figure.interval == compute_interval(both, GROUPS)
     unseen = summary.cells[0].metrics[f"unseen: {NAME}"]
-    assert unseen.mean == pytest.approx(
-        2 * both[:, :4].mean()
-    ) and unseen.interval == compute_interval(2 * both[:, :4], np.arange(4))
+    assert unseen.mean == pytest.approx(2 * both[:, :4].mean())
+    assert unseen.interval == compute_interval(2 * both[:, :4], np.arange(4))
     plain = summary.cells[0].metrics["pin_error/disentangled/rms_px"]
     assert plain == Figure(both[:, 0].mean(), None, {"0": both[0, 0], "1": both[1, 0]})
     assert "pin_error/disentangled/rms_mm" not in summary.cells[0].metrics
     spoilt = summary.cells[0].ablation
-    assert list(spoilt) == ["DS(z_p,0)/ssim"] and spoilt["DS(z_p,0)/ssim"].mean == pytest.approx(
-        both[:, 1].mean()
-    )
+    assert list(spoilt) == ["DS(z_p,0)/ssim"]
+    assert spoilt["DS(z_p,0)/ssim"].mean == pytest.approx(both[:, 1].mean())
 
 
 def test_differences_are_paired_over_the_seeds_that_both_have(summary):
     assert summary.reference == "patch=0.1" and summary.cells[1].difference == {}
-    pairs = np.stack([random(0) - random(10), random(1) - random(11)])
-    assert summary.cells[0].difference[NAME] == Figure(
-        pytest.approx(pairs.mean()), compute_interval(pairs, GROUPS)
-    )
+    both = np.stack([random(0) - random(10), random(1) - random(11)])
     one = (random(20) - random(10))[None]
-    assert summary.cells[2].difference[NAME] == Figure(
-        pytest.approx(one.mean()), compute_interval(one, GROUPS)
-    )
+    for cell, pairs in ((summary.cells[0], both), (summary.cells[2], one)):
+        expected = Figure(pytest.approx(pairs.mean()), compute_interval(pairs, GROUPS))
+        assert cell.difference[NAME] == expected
 
 
 def test_noise_that_two_cells_share_does_not_widen_their_difference():
@@ -223,9 +198,7 @@ def test_contacts_of_the_same_labels_drawn_from_other_settings_have_no_differenc
 
 def test_a_further_test_is_compared_by_its_own_settings():
     jittered, others = done(random(1)), done(random(1))
-    jittered.outcome.results.settings["paired"]["tap_depth_jitter_mm"] = (
-        1.0  # of the main test alone
-    )
+    jittered.outcome.results.settings["paired"]["tap_depth_jitter_mm"] = 1.0  # of the main test
     unseen = others.outcome.results.tests
     unseen["unseen"] = replace(unseen["unseen"], stimuli=["leaf", "flower"])
     assert list(compute_differences({0: done(random(0))}, {0: jittered})) == [f"unseen: {NAME}"]
@@ -251,36 +224,24 @@ def test_a_failure_is_reported_with_its_reason_and_the_other_seed_counts(summary
     assert list(cell.costs) == ["0"] and cell.costs["0"].peak_memory_bytes == 2**30
 
 
-def test_nothing_done_is_a_summary_too():
-    cells = list_cells(SWEEP)
-    rows = {(cell.label, seed): failed("no") for cell in cells for seed in (0, 1)}
-    found = summarise(SWEEP, cells, rows, find_reference(SWEEP, cells))
-    assert all(cell.metrics == cell.difference == cell.ablation == {} for cell in found.cells)
-    assert format_table(found).count("failed: ") == 6
-
-
-def test_nothing_done_without_a_grid_is_a_summary_too():
-    sweep = replace(SWEEP, grid=(), rows=((), (("train.epochs", 2),)))
+@pytest.mark.parametrize("rows", [(), ((), (("train.epochs", 2),))])
+def test_nothing_done_is_a_summary_too(rows):
+    sweep = replace(SWEEP, grid=(), rows=rows) if rows else SWEEP
     cells = list_cells(sweep)
-    rows = {(cell.label, seed): failed("no") for cell in cells for seed in (0, 1)}
-    found = summarise(sweep, cells, rows, find_reference(sweep, cells))
-    assert [cell.metrics for cell in found.cells] == [{}, {}] and "failed: " in format_table(found)
+    nothing = {(cell.label, seed): failed("no") for cell in cells for seed in (0, 1)}
+    found = summarise(sweep, cells, nothing, find_reference(sweep, cells))
+    assert all(cell.metrics == cell.difference == cell.ablation == {} for cell in found.cells)
+    assert format_table(found).count("failed: ") == 2 * len(cells)
 
 
-def test_it_is_json_and_costs_are_all_that_may_differ(summary):
+def test_it_is_json(summary):
     again = json.loads(json.dumps(to_builtins(summary)))
     assert again["axes"] == [
         {"name": "patch", "fields": ["train.losses.patch"], "values": ["0.0", "0.1", "1.0"]}
     ]
     assert again["networks"] == ["disentangled"] and again["base"]["networks"] == ["disentangled"]
-    assert (
-        convert_record(again, SweepResult, "sweep.json", "again").cells[0].metrics
-        == summary.cells[0].metrics
-    )
-    assert (
-        not select_reproducible(summary).cells[0].costs
-        and select_reproducible(summary).cells[0].metrics
-    )
+    record = convert_record(again, SweepResult, "sweep.json", "again")
+    assert record.cells[0].metrics == summary.cells[0].metrics
 
 
 def test_a_seed_without_the_ablation_and_a_figure_that_one_seed_lacks_are_left_out():
@@ -300,9 +261,7 @@ def test_the_table_shows_figures_reference_and_failures(summary):
     low, high = compute_interval(np.stack([random(0), random(1)]), GROUPS)
     assert f"[{low:.3g}, {high:.3g}]" in lines[1]
     assert "*" not in format_table(replace(summary, reference=None)).splitlines()[2]
-
-
-def test_nothing_failed_is_nothing_to_try_again(summary):
+    # nothing failed is nothing to try again
     assert "--retry-failed" not in format_table(replace(summary, cells=summary.cells[:2]))
 
 
@@ -310,12 +269,11 @@ def test_the_table_gives_which_settings_were_not_ranked_and_ranks_the_others():
     rows = ((), (("train.epochs", 9.0),), (("paired.slides", 8),))
     sweep = replace(SWEEP, grid=(), rows=rows, labels=("base", "longer", "more slides"), seeds=(0,))
     cells = list_cells(sweep)
-    measured = {
-        (cell.label, 0): done(
-            np.full(12, 0.5 + number / 10), train_seconds={"disentangled": 10.0 + number}
-        )
-        for number, cell in enumerate(cells)
-    }
+    measured = {}
+    for number, cell in enumerate(cells):
+        seconds = {"disentangled": 10.0 + number}
+        row = done(np.full(12, 0.5 + number / 10), train_seconds=seconds)
+        measured[cell.label, 0] = row
     found = summarise(sweep, cells, measured, find_reference(sweep, cells))
     lines = format_table(found).splitlines()
     assert f"{NAME} against train_seconds: base < longer" in lines
@@ -324,21 +282,15 @@ def test_the_table_gives_which_settings_were_not_ranked_and_ranks_the_others():
 
 def test_intervals_say_what_they_are_over(summary):
     """One seed knows nothing of other trainings."""
-    assert (
-        summary.spread["over"] == "training seeds and test poses"
-        and "seeds" in summary.spread["what"]
-    )
-    assert (
-        "brackets: 95 % intervals over training seeds and test poses"
-        in format_table(summary).splitlines()
-    )
+    over, brackets = "training seeds and test poses", "brackets: 95 % intervals over"
+    assert summary.spread["over"] == over and "seeds" in summary.spread["what"]
+    assert f"{brackets} {over}" in format_table(summary).splitlines()
     sweep = replace(SWEEP, grid=(), rows=((),), labels=("base",), seeds=(0,))
     cells = list_cells(sweep)
     one = summarise(sweep, cells, {(cells[0].label, 0): done(random(0))}, None)
-    assert one.spread["over"] == "test poses of one training" and "seeds" not in one.spread["what"]
-    assert (
-        "brackets: 95 % intervals over test poses of one training" in format_table(one).splitlines()
-    )
+    over = "test poses of one training"
+    assert one.spread["over"] == over and "seeds" not in one.spread["what"]
+    assert f"{brackets} {over}" in format_table(one).splitlines()
 
 
 def test_cells_of_different_networks():
@@ -347,12 +299,8 @@ def test_cells_of_different_networks():
     assert [cell.label for cell in cells] == ["networks=disentangled", "networks=unet"]
     other = done(random(1))
     other = other._replace(tests={"": {"ms_ssim/unet": random(1)} | LABELS})
-    found = summarise(
-        sweep,
-        cells,
-        {(cells[0].label, 0): done(random(0)), (cells[1].label, 0): other},
-        cells[0].label,
-    )
+    rows = {(cells[0].label, 0): done(random(0)), (cells[1].label, 0): other}
+    found = summarise(sweep, cells, rows, cells[0].label)
     assert found.networks == ["disentangled", "unet"]
     assert not any(name.startswith("ms_ssim") for name in found.cells[1].difference)
     assert "-" in format_table(found).splitlines()[1].split()

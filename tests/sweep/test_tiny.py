@@ -11,7 +11,7 @@ import pytest
 
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.sweep.summary import select_reproducible
+from tests.helpers.reproducible import select_sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = f"""
@@ -30,16 +30,10 @@ sweep = Sweep(
 
 
 def start(folder: Path) -> subprocess.Popen:
-    (folder.parent / "small.py").write_text(TEXT)
-    words = [
-        "sweep",
-        str(folder.parent / "small.py"),
-        "--out",
-        str(folder),
-        "--data",
-        str(folder.parent / "datasets"),
-    ]
-    return subprocess.Popen([sys.executable, "-m", "jaxunshear", *words], stdout=subprocess.DEVNULL)
+    file, data = folder.parent / "small.py", folder.parent / "datasets"
+    file.write_text(TEXT)
+    words = [sys.executable, "-m", "jaxunshear", "sweep", file, "--out", folder, "--data", data]
+    return subprocess.Popen(words, stdout=subprocess.DEVNULL)
 
 
 def summary(folder: Path) -> SweepResult:
@@ -53,10 +47,8 @@ def test_killed_at_any_time_it_ends_with_the_same_table(tmp_path):
     assert [list(cell.seeds) for cell in full.cells[:2]] == [[0], [0]]
     assert full.reference == "patch=0.1"
     assert {"ms_ssim/disentangled", "pose/disentangled/edge_mm"} <= set(full.cells[0].difference)
-    assert (
-        len(list((tmp_path / "full" / "small" / "shared").glob("posenet*/posenet/summary.json")))
-        == 1
-    )
+    shared = tmp_path / "full" / "small" / "shared"
+    assert len(list(shared.glob("posenet*/posenet/summary.json"))) == 1
     moments = random.Random(0)
     kills = 0
     while kills < 5:
@@ -70,4 +62,4 @@ def test_killed_at_any_time_it_ends_with_the_same_table(tmp_path):
             kills += 1
     assert start(tmp_path / "killed").wait() == 0
     assert kills >= 2
-    assert select_reproducible(summary(tmp_path / "killed")) == select_reproducible(full)
+    assert select_sweep(summary(tmp_path / "killed")) == select_sweep(full)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.report.history import read_lines
+from jaxunshear.report.training_sections import read_lines
 from jaxunshear.training.step import make_schedule
 from jaxunshear.training.tensorboard import list_scalars, open_events
 

@@ -19,7 +19,7 @@ from jaxunshear.config.networks import UnshearNet
 from jaxunshear.config.training import Training
 from jaxunshear.errors import UserError
 from jaxunshear.models import unshearnet
-from jaxunshear.report.history import read_lines
+from jaxunshear.report.training_sections import read_lines
 from jaxunshear.training import checkpoint, trainer
 from jaxunshear.training.step import list_kernels, make_schedule
 from jaxunshear.training.tasks import make_posenet_task, make_unshear_task

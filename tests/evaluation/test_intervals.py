@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.conformal import (
+from jaxunshear.evaluation.intervals import (
     COVERAGE_ELSEWHERE,
     ELSEWHERE_NOTE,
     MIN_CONTACTS,
@@ -21,9 +21,8 @@ LOCKED = (
 
 def test_of_evenly_spread_errors_the_width_is_the_conformal_one():
     errors = {"pose/tap/y_mm": np.random.default_rng(0).permutation(np.arange(1, 101) / 100)}
-    assert compute_half_widths(errors) == {
-        "tap": {"y_mm": pytest.approx(0.96)}
-    }  # the ceil(101 * .95)-th of 100
+    # the ceil(101 * .95)-th of 100
+    assert compute_half_widths(errors) == {"tap": {"y_mm": pytest.approx(0.96)}}
 
 
 def test_the_share_that_is_held_is_of_the_other_contacts():
@@ -55,7 +54,6 @@ def test_new_draws_are_held_as_often_as_promised():
 
 def test_what_they_held_on_other_recordings_is_what_the_file_says():
     rows = {row["name"]: row["value"] for row in json.loads(LOCKED.read_text())["rows"]}
-    assert {
-        name: rows[f"coverage.unsheared.{name}"] for name in COVERAGE_ELSEWHERE
-    } == COVERAGE_ELSEWHERE
+    stored = {name: rows[f"coverage.unsheared.{name}"] for name in COVERAGE_ELSEWHERE}
+    assert stored == COVERAGE_ELSEWHERE
     assert ELSEWHERE_NOTE.endswith("they held 94 % of y, 82 % of z, 95 % of Rz")

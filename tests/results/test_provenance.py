@@ -1,13 +1,16 @@
 """With which code networks were trained, as far as they say so."""
 
+import json
+import platform
 from dataclasses import replace
 
 import pytest
 
 from jaxunshear.results.measurement import Machine, Source, TrainingSummary
-from jaxunshear.results.record_files import write_record
+from jaxunshear.results.provenance import describe_machine, list_versions, read_training_facts
+from jaxunshear.results.record_files import convert_record, write_record
 from jaxunshear.results.run import Results
-from jaxunshear.results.training_summaries import read_training_facts
+from jaxunshear.serialization import to_builtins
 
 NOW = Source("0.3.0", "2030-01-02", "c", True)
 EARLIER = replace(NOW, commit="b")
@@ -20,15 +23,11 @@ EMPTY = Results(settings={}, metric={}, pin_error={})
 def test_what_trainings_say_is_read(tmp_path):
     made = replace(SUMMARY, trained_on=Machine(cores=2), trained_by=EARLIER)
     write_record(tmp_path / "disentangled" / "summary.json", made)
-    write_record(
-        tmp_path / "posenet" / "summary.json", replace(SUMMARY, trained_on=Machine(cores=4))
-    )
+    earlier = replace(SUMMARY, trained_on=Machine(cores=4))
+    write_record(tmp_path / "posenet" / "summary.json", earlier)
     found = read_training_facts(tmp_path, ("disentangled", "posenet", "absent"))
     assert found["trained_by"] == {"disentangled": EARLIER}
-    assert {name: machine.cores for name, machine in found["trained_on"].items()} == {
-        "disentangled": 2,
-        "posenet": 4,
-    }
+    assert [found["trained_on"][name].cores for name in ("disentangled", "posenet")] == [2, 4]
 
 
 @pytest.mark.parametrize(
@@ -36,12 +35,27 @@ def test_what_trainings_say_is_read(tmp_path):
     [
         ({"source": NOW, "trained_by": {"posenet": EARLIER}}, [NOW, EARLIER]),
         ({"source": NOW}, [NOW]),
-        (
-            {"source": NOW, "trained_on": {"posenet": Machine()}},
-            [],
-        ),  # trained before commits were kept
+        # trained before commits were kept
+        ({"source": NOW, "trained_on": {"posenet": Machine()}}, []),
         ({"trained_by": {"posenet": EARLIER}}, []),
     ],
 )
 def test_code_is_known_of_all_or_not_at_all(held, expected):
     assert replace(EMPTY, **held).sources == expected
+
+
+def test_machine_is_plain_and_says_something():
+    found = describe_machine()
+    assert found.cores >= 1
+    assert found.processor
+    assert found.device.count(":") >= 1
+    stored = json.loads(json.dumps(to_builtins(found)))
+    assert convert_record(stored, Machine, "it", "again") == found
+
+
+def test_versions_name_python_and_jax():
+    import jax
+
+    found = list_versions()
+    assert found["python"] == platform.python_version()
+    assert found["jax"] == jax.__version__

@@ -1,18 +1,43 @@
-"""Pin error: the distance of the pins in an image from their true positions.
+"""Errors of poses by target (jaxunshear/config/targets.py), and of pins in images.
 
-Similarity of images does not change if the lattice is shifted by a full pitch; the distance of
-centroids that are matched one to one does.
+Similarity of images does not change if the lattice of pins is shifted by a full pitch; the distance
+of centroids that are matched one to one does.
 """
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float32, UInt8
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
+from jaxunshear.angles import wrap_degrees
 from jaxunshear.perception.pin_detection import find_pins
+
+
+def compute_pose_errors(
+    predicted: Mapping[str, np.ndarray], true: Mapping[str, np.ndarray]
+) -> dict[str, Float32[np.ndarray, "B"]]:
+    """Compute the absolute errors of `predicted`, in the order of the labels.
+
+    Angles wrap, so their errors are at most 180. Raises `ValueError` if a label is missing or
+    lengths differ.
+    """
+    if unknown := predicted.keys() - true.keys():
+        raise ValueError(f"pose quantity {min(unknown)!r} is missing")
+    errors = {}
+    for name in true:  # not of `predicted`: a compiled function sorts its outputs by name
+        if name not in predicted:
+            continue
+        a, b = np.asarray(predicted[name], np.float64), np.asarray(true[name], np.float64)
+        if a.shape != b.shape or a.ndim != 1:
+            raise ValueError(f"{name}: shapes {a.shape} and {b.shape} are not one (B,)")
+        difference = b - a
+        if name.endswith("_deg"):
+            difference = wrap_degrees(difference)
+        errors[name] = np.abs(difference).astype(np.float32)
+    return errors
 
 
 class PinMatch(NamedTuple):
@@ -70,13 +95,8 @@ def measure_pin_errors(
     matches itself again except at its rim, so the error needs the numbers of missed and extra pins.
     `true_slide` is the distance of the true pins of slides and taps. A mm is one at the height of
     the apex pin: pins of the rim, nearer to the camera, move by less (`tactip331-fitted`: by a
-    tenth less).
-
-    Args:
-        images: (N, S, S) uint8 by kind.
-        tap_pins: (N, P, 2) true (column, row), px.
-        sheared_pins: (N, P, 2) likewise.
-        mm_per_px: None if unknown; errors in mm are then None, too.
+    tenth less). Images (N, S, S) uint8 are by kind, true pins (N, P, 2) are (column, row), px.
+    Without `mm_per_px` errors in mm are None.
     """
     pitches = [cKDTree(points).query(points, k=2)[0][:, 1] for points in tap_pins]
     limit = 0.5 * float(np.median(pitches))

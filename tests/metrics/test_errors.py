@@ -1,10 +1,52 @@
-"""Finding and matching pins on images made by hand."""
+"""Pose errors on known answers."""
 
 import numpy as np
 import pytest
 
-from jaxunshear.metrics.pin_error import match_pins, measure_pin_error
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.targets import make_range_targets, read_true_values
+from jaxunshear.metrics import compute_pose_errors
+from jaxunshear.metrics.errors import match_pins, measure_pin_error
 from jaxunshear.perception.pin_detection import find_pins
+
+
+def quantities(x, yaw, edge, angle):
+    values = zip(("x_mm", "yaw_deg", "edge_mm", "edge_deg"), (x, yaw, edge, angle), strict=True)
+    return {name: np.array([value], np.float32) for name, value in values}
+
+
+def test_known_errors():
+    errors = compute_pose_errors(quantities(1, 40, -2, 10), quantities(3, -5, 0.5, 12))
+    assert errors == {"x_mm": 2, "yaw_deg": 45, "edge_mm": 2.5, "edge_deg": 2}
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "error"), [(179, -179, 2), (-180, 180, 0), (90, -90, 180), (350, 0, 10)]
+)
+def test_angles_go_the_short_way_round(a, b, error):
+    errors = compute_pose_errors(quantities(0, 0, 0, a), quantities(0, 0, 0, b))
+    assert errors["edge_deg"] == pytest.approx(error, abs=1e-4)
+
+
+def test_true_values_take_the_right_columns():
+    batch = {"pose": np.array([[1.0, 2, 3, 4]]), "edge": np.array([[5.0, 6]])}
+    true = read_true_values(make_range_targets((), Ranges()), batch)
+    assert true == {"x_mm": 1, "yaw_deg": 3, "edge_mm": 5, "edge_deg": 6}
+
+
+def test_errors_come_in_the_order_of_the_labels():
+    true = quantities(0, 0, 0, 0)
+    other_order = {name: true[name] for name in sorted(true)}
+    assert tuple(compute_pose_errors(other_order, true)) == tuple(true)
+    assert tuple(compute_pose_errors({"edge_mm": true["edge_mm"]}, true)) == ("edge_mm",)
+
+
+def test_missing_quantities_and_lengths_are_refused():
+    good = quantities(0, 0, 0, 0)
+    with pytest.raises(ValueError, match="edge_mm"):
+        compute_pose_errors(good, {name: good[name] for name in ("x_mm", "yaw_deg", "edge_deg")})
+    with pytest.raises(ValueError, match="x_mm"):
+        compute_pose_errors(good, {**good, "x_mm": np.zeros(2)})
 
 
 def lattice(step, size=128):
@@ -29,9 +71,8 @@ def test_centroids_are_columns_and_rows():
 
 def test_touching_pins_are_parted():
     centres = lattice(9, 256)
-    centres = np.concatenate(
-        [centres, centres[:3] - [0.0, 5.0]]
-    )  # three more, each touching one at the edge
+    # three more, each touching one at the edge
+    centres = np.concatenate([centres, centres[:3] - [0.0, 5.0]])
     match = match_pins(find_pins(dots(centres, 3.0, 256)), centres, 2.0)
     assert (match.missed, match.extra) == (0, 0)
 

@@ -2,13 +2,17 @@
 
 import os
 import platform
+from collections.abc import Iterable
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
 from jaxunshear.code_version import read_source
 from jaxunshear.environment import count_cores
+from jaxunshear.errors import UserError
 from jaxunshear.files import Json
-from jaxunshear.results.measurement import Machine
+from jaxunshear.results.measurement import Machine, TrainingSummary
+from jaxunshear.results.record_files import read_record
 
 PACKAGES = (
     *("jaxunshear", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint"),
@@ -70,3 +74,17 @@ def _read_memory_gib() -> int:
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30)
     except (ValueError, OSError, AttributeError):
         return 0
+
+
+def read_training_facts(run_dir: Path, networks: Iterable[str]) -> Json:
+    """Read the machine and the code that trained each of `networks`, if its summary has them."""
+    trained_on, trained_by = {}, {}
+    for name in networks:
+        path = Path(run_dir) / name / "summary.json"
+        with suppress(UserError):
+            summary = read_record(path, TrainingSummary, "train again")
+            if summary.trained_on != Machine():
+                trained_on[name] = summary.trained_on
+            if summary.trained_by:
+                trained_by[name] = summary.trained_by
+    return {"trained_on": trained_on, "trained_by": trained_by}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
-from jaxunshear.evaluation.bootstrap import RESAMPLES, compute_intervals
-from jaxunshear.sweep.crossed_bootstrap import (
+from jaxunshear.evaluation.intervals import RESAMPLES, compute_intervals
+from jaxunshear.sweep.scores import (
     compute_interval,
     describe_intervals,
     draw_counts,
@@ -34,9 +34,8 @@ def width_expected(values: np.ndarray) -> float:
 def test_the_width_is_that_of_seeds_and_poses_crossed(of_seed, of_pose):
     values = scores(12, of_seed, of_pose)
     low, high = compute_interval(values, POSES)
-    assert high - low == pytest.approx(
-        width_expected(values), rel=0.08
-    )  # of 1,000 resamples; quantiles err by 5 %
+    # of 1,000 resamples; quantiles err by 5 %
+    assert high - low == pytest.approx(width_expected(values), rel=0.08)
     assert low < values.mean() < high
 
 
@@ -44,9 +43,8 @@ def test_the_width_is_that_of_seeds_and_poses_crossed(of_seed, of_pose):
 def test_where_seeds_alone_vary_it_is_students_t(seeds):
     values = scores(seeds, 1.0, 0.0)
     low, high = compute_interval(values, POSES)
-    exact = t.interval(
-        0.95, seeds - 1, values[:, 0].mean(), values[:, 0].std(ddof=1) / np.sqrt(seeds)
-    )
+    deviation = values[:, 0].std(ddof=1) / np.sqrt(seeds)
+    exact = t.interval(0.95, seeds - 1, values[:, 0].mean(), deviation)
     np.testing.assert_allclose([low, high], exact, atol=0.06 * (exact[1] - exact[0]))
 
 
@@ -71,10 +69,9 @@ def test_it_holds_the_true_mean_as_often_as_it_says(seeds, effects):
 
 
 def test_a_sweep_says_what_its_intervals_are():
-    assert describe_intervals(3)["interval"].startswith(
-        "Student's t over 3 seeds and bootstrap over test poses"
-    )
-    assert describe_intervals(1)["interval"].startswith("bootstrap over test poses")
+    poses = "bootstrap over test poses"
+    assert describe_intervals(3)["interval"].startswith(f"Student's t over 3 seeds and {poses}")
+    assert describe_intervals(1)["interval"].startswith(poses)
 
 
 def test_the_mean_of_the_resamples_is_the_mean():
@@ -93,9 +90,8 @@ def test_slides_of_a_pose_are_drawn_together():
 
 def test_one_seed_gives_the_interval_of_the_evaluation():
     values = scores(1, 0.0, 1.0, 0.5)
-    assert compute_interval(values, POSES) == pytest.approx(
-        compute_intervals({"x": values[0]}, POSES, 0)["x"], rel=1e-12
-    )
+    of_one = compute_intervals({"x": values[0]}, POSES, 0)["x"]
+    assert compute_interval(values, POSES) == pytest.approx(of_one, rel=1e-12)
 
 
 def test_poses_may_have_different_numbers_of_contacts():
@@ -110,9 +106,8 @@ def test_a_constant_difference_has_no_width():
 
 
 def test_draws_depend_on_the_number_alone_and_differ_between_seeds_and_poses():
-    assert np.array_equal(draw_counts(7, 0), draw_counts(7, 0)) and not np.array_equal(
-        draw_counts(7, 0), draw_counts(7, 1)
-    )
+    assert np.array_equal(draw_counts(7, 0), draw_counts(7, 0))
+    assert not np.array_equal(draw_counts(7, 0), draw_counts(7, 1))
     assert set(draw_counts(7, 0).sum(axis=1)) == {7.0}
 
 
