@@ -29,14 +29,13 @@ from jaxunshear.config.types import check_rules
 from jaxunshear.environment import FAST, PLAIN
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
-from jaxunshear.inference.forward import UNSHEARED, make_forward
+from jaxunshear.inference.forward import UNSHEARED, jit_for_inference, make_forward
 from jaxunshear.models import posenet, unshearnet
 from jaxunshear.models.fast import compiled_kernels
-from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.layer_choice import use_layers
 from jaxunshear.progress import Progress
+from jaxunshear.training.checkpoint import TrainedNetwork
 from jaxunshear.training.tasks import make_unshear_task
-from jaxunshear.training.trained_network import TrainedNetwork
 from verification.clock import SIZE, make_matrix_product, time_call
 
 TRAIN_CASES = ((256, 8), (128, 32))  # size in px, batch

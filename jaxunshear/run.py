@@ -21,8 +21,12 @@ from jaxunshear.files import Json, read_object, write_json
 from jaxunshear.locks import hold_lock
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import TIMES, read_times
-from jaxunshear.training.data_origin import check_origin
-from jaxunshear.training.initial_weights import InitialWeights, list_training_digests, start_folder
+from jaxunshear.training.provenance import (
+    InitialWeights,
+    check_origin,
+    list_training_digests,
+    start_folder,
+)
 
 LOCK = "run.lock"  # a row of a sweep has another lock
 
@@ -167,9 +171,15 @@ def _train(run: _Run, network: str) -> bool:
             )
         check_origin(experiment, network, run.folder)
         return False
-    from jaxunshear.training.examples import FRAME, open_examples
-    from jaxunshear.training.few_pairs import add_single_contacts, select_few_pairs
-    from jaxunshear.training.task_factory import make_task, rename_inputs, take_first
+    from jaxunshear.training.examples import (
+        FRAME,
+        add_single_contacts,
+        open_examples,
+        rename_inputs,
+        select_few_pairs,
+        take_first,
+    )
+    from jaxunshear.training.task_factory import make_task
     from jaxunshear.training.trainer import Provenance, TrainingData, train
 
     source, config = open_source(experiment), resolve_network(experiment, network)

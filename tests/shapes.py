@@ -23,7 +23,7 @@ CHECKED += (
     "perception.png",
     "perception.preprocess",
 )
-CHECKED += ("training.rotation", "training.domain_randomisation")
+CHECKED += ("training.augmentation",)
 MODULES = [f"jaxunshear.{name}" for name in CHECKED]
 MODULES += ["verification.hyperelastic", "verification.large_strain"]
 

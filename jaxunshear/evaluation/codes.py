@@ -10,7 +10,7 @@ from jax import Array
 from jaxunshear.errors import UserError
 from jaxunshear.models import registry
 from jaxunshear.models.weights import Net, Variables
-from jaxunshear.training.trained_network import load_network
+from jaxunshear.training.checkpoint import load_network
 
 BATCH = 64
 

@@ -18,14 +18,13 @@ from jaxunshear.config.registry import POSENETS
 from jaxunshear.data.sources import open_source
 from jaxunshear.evaluation.result_tables import finish_results
 from jaxunshear.evaluation.score_files import EvaluatedRun, write_score_files
-from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.inference.forward import jit_for_inference
 from jaxunshear.models.registry import get_net_modality, predict, unshear
 from jaxunshear.results.record_files import write_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import read_times
-from jaxunshear.training.checkpoint import check_finished
-from jaxunshear.training.data_origin import check_origin
-from jaxunshear.training.trained_network import load_network
+from jaxunshear.training.checkpoint import check_finished, load_network
+from jaxunshear.training.provenance import check_origin
 
 CALLS = 40  # of each network that is timed
 WARM_UP_CALLS = 3  # not counted: the first compiles

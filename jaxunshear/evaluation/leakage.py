@@ -34,8 +34,8 @@ from jaxunshear.files import Json, write_json
 from jaxunshear.metrics.disentanglement import Blocks, score_dci, score_mig, score_sap
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.training_summaries import read_training_facts
-from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import open_examples
+from jaxunshear.training.provenance import check_origin
 
 MIN_CEILING = 0.1  # R2 from the input: below it the input does not show a quantity
 SEED = 0

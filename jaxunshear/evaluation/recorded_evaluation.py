@@ -35,7 +35,7 @@ from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME
-from jaxunshear.training.initial_weights import check_unseen
+from jaxunshear.training.provenance import check_unseen
 
 
 def evaluate_recordings(experiment: Experiment, run_dir: Path, data_dir: Path) -> EvaluatedRun:

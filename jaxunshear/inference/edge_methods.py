@@ -26,9 +26,8 @@ from jaxunshear.config.registry import (
 )
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.errors import UserError
-from jaxunshear.inference.forward import make_forward, scale_inputs
+from jaxunshear.inference.forward import jit_for_inference, make_forward, scale_inputs
 from jaxunshear.inference.trained_model import TrainedModel
-from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.registry import unshear
 from jaxunshear.models.weights import Variables
 from jaxunshear.training.checkpoint import compute_weights_digest

@@ -35,6 +35,7 @@ from jaxunshear.files import read_object
 from jaxunshear.inference.forward import (
     BATCH,
     compute_confidence,
+    jit_for_inference,
     make_full_forward,
     run_in_batches,
     scale_inputs,
@@ -51,7 +52,6 @@ from jaxunshear.inference.readers import (
     make_pin_reader,
 )
 from jaxunshear.model_folders import find_model_folder, load_settings
-from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.posenet import unscale_outputs
 from jaxunshear.models.registry import encode
 from jaxunshear.models.weights import Tree
@@ -59,9 +59,8 @@ from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.perception.sensor_check import SensorAppearance, measure_sensor_appearance
-from jaxunshear.training.checkpoint import has_model, read_slides
+from jaxunshear.training.checkpoint import TrainedNetwork, has_model, load_network, read_slides
 from jaxunshear.training.examples import FRAME
-from jaxunshear.training.trained_network import TrainedNetwork, load_network
 
 PREFERRED_POSENETS = (POSENET, POSENET_SHEARED)
 

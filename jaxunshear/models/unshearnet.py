@@ -28,11 +28,9 @@ from jaxtyping import Float
 from jaxunshear.config.networks import UnshearNet
 from jaxunshear.config.types import check_rules
 from jaxunshear.models import layer_choice
-from jaxunshear.models.fast import layers as fast_layers
 from jaxunshear.models.fast import networks as fast
-from jaxunshear.models.layers import Down, Last, Same, Up
+from jaxunshear.models.layers import Down, Last, Same, Up, VectorCode, VectorDecoder
 from jaxunshear.models.reconstruction import Reconstruction, measure_disagreement
-from jaxunshear.models.vector_code import VectorCode, VectorDecoder
 from jaxunshear.models.weights import Variables, check_has_sheared_decoder, has_part
 
 
@@ -72,7 +70,7 @@ class Network(nn.Module):
         decoder: Callable[[], nn.Module] = partial(
             layer_choice.pick_layer(Decoder, fast.Decoder), net.widths
         )
-        code = VectorCode if net.apart else layer_choice.pick_layer(Same, fast_layers.Same)
+        code = VectorCode if net.apart else layer_choice.pick_layer(Same, fast.Same)
         if net.apart:
             side = net.size // 2 ** len(net.widths)
             decoder = partial(VectorDecoder, (side, side, net.widths[-1]), decoder)

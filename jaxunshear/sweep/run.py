@@ -28,7 +28,7 @@ from jaxunshear.sweep.grid import Row, find_reference, list_cells, list_rows
 from jaxunshear.sweep.scores import RowScores, read_tests
 from jaxunshear.sweep.summary import summarise
 from jaxunshear.sweep.tasks import LOCK, WORKER, read_outcome, run_task
-from jaxunshear.training.initial_weights import start_folder
+from jaxunshear.training.provenance import start_folder
 
 Item = TypeVar("Item")
 

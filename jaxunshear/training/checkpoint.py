@@ -17,7 +17,7 @@ import hashlib
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -336,3 +336,15 @@ def _flatten(tree: object, prefix: str = "") -> Json:
     for name, value in tree.items():
         flat |= _flatten(value, f"{prefix}.{name}" if prefix else name)
     return flat
+
+
+class TrainedNetwork(NamedTuple):
+    net: Net
+    variables: Variables
+    targets: Targets  # that it predicts, of a PoseNet
+
+
+def load_network(folder: Path) -> TrainedNetwork:
+    """Load a network from its folder. Raises UserError if it is missing, damaged or unfinished."""
+    check_finished(folder)
+    return TrainedNetwork(read_net(folder), load_best(folder), read_targets(folder))

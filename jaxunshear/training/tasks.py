@@ -25,8 +25,8 @@ from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import PINS, Batch
 from jaxunshear.models.registry import InitFacts, NetworkFunctions, get_functions
 from jaxunshear.models.weights import Net, Tree, Variables
+from jaxunshear.training.augmentation import Rotations, rotate_outputs, rotate_pins, sample_rotation
 from jaxunshear.training.losses import PairInputs, PoseInputs
-from jaxunshear.training.rotation import Rotations, rotate_outputs, rotate_pins, sample_rotation
 
 Terms = dict[str, Array]  # losses per example (B,), by name
 

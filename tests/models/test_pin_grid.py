@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.models.pin_grid import make_grid
+from jaxunshear.models.pin_networks import make_grid
 
 
 def hexagon(rings, spacing=7.0, middle=(64.0, 60.0)):

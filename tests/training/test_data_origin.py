@@ -10,7 +10,7 @@ from jaxunshear.config.network_config import resolve_network
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
-from jaxunshear.training.data_origin import check_origin
+from jaxunshear.training.provenance import check_origin
 
 SIMULATED = Experiment(name="small", claim="none", networks=("disentangled",))
 

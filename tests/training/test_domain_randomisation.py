@@ -7,8 +7,8 @@ import pytest
 
 from jaxunshear.config.sensor import TACTIP_127
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
-from jaxunshear.training import domain_randomisation
-from jaxunshear.training.domain_randomisation import MOTION_FACTOR, make_randomisation
+from jaxunshear.training import augmentation
+from jaxunshear.training.augmentation import MOTION_FACTOR, make_randomisation
 
 FLAT = compute_pin_lattice(TACTIP_127)
 REST = 48 + 36 * FLAT / np.linalg.norm(FLAT, axis=-1).max()
@@ -66,7 +66,7 @@ def test_the_edges_direction_turns_with_the_pins(jit):
 
 def test_a_slide_drags_further_or_less_and_its_tap_stays_one(monkeypatch):
     for deviation in ("TURNED_DEG", "SHIFTED"):
-        monkeypatch.setattr(domain_randomisation, deviation, 0.0)
+        monkeypatch.setattr(augmentation, deviation, 0.0)
     given, draw = batch(), make_randomisation(REST, 1.0)
 
     def length(b):
@@ -101,7 +101,7 @@ def test_the_camera_moves_slides_and_not_the_taps_they_are_unsheared_to():
     still = np.asarray(given["sheared_pins"] - given["canonical_pins"]).mean(axis=1)
     spacing = 36 / TACTIP_127.rings
     assert (
-        0.5 < mean.std() / np.hypot(still.std() * 1.5, domain_randomisation.SHIFTED * spacing) < 2
+        0.5 < mean.std() / np.hypot(still.std() * 1.5, augmentation.SHIFTED * spacing) < 2
     )
     np.testing.assert_allclose(
         np.asarray(drawn["canonical_pins"]).mean(axis=1).std(),

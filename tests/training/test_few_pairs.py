@@ -13,7 +13,7 @@ from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.networks import UnshearNet
 from jaxunshear.data.reader import Reader, SetReader
 from jaxunshear.data.sources import Examples, PinLayout, open_source
-from jaxunshear.training.few_pairs import (
+from jaxunshear.training.examples import (
     ANOTHER,
     ONE,
     TAPS,

@@ -6,7 +6,7 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.training import checkpoint
-from jaxunshear.training.finite_check import check_state, check_terms
+from jaxunshear.training.monitor import check_state, check_terms
 from jaxunshear.training.step import State
 
 SOUND = {"image": np.full((12, 4, 4, 1), 255, np.uint8), "pose": np.full((12, 4), -3.5, np.float32)}

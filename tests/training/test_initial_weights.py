@@ -18,7 +18,7 @@ from jaxunshear.files import write_json
 from jaxunshear.model_folders import RELEASED, load_settings
 from jaxunshear.models import unshearnet
 from jaxunshear.training import checkpoint, trainer
-from jaxunshear.training.initial_weights import (
+from jaxunshear.training.provenance import (
     InitialWeights,
     check_unseen,
     list_training_digests,

@@ -10,7 +10,7 @@ import optax
 import pytest
 
 from jaxunshear.config.networks import UnshearNet
-from jaxunshear.training.muon import muon, orthogonalise
+from jaxunshear.training.step import muon, orthogonalise
 
 sys.path.insert(0, str(Path(__file__).parent))
 

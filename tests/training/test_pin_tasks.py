@@ -13,7 +13,7 @@ from jaxunshear.data.factorial import OTHER, SWAPPED
 from jaxunshear.models.distances import compute_pin_distance
 from jaxunshear.models.pin_networks import encode, predict, unshear
 from jaxunshear.models.registry import InitFacts
-from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
+from jaxunshear.training.examples import ANOTHER, ONE, TAPS
 from jaxunshear.training.tasks import (
     PinAugmentation,
     Supervision,

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from jaxunshear.training.prefetch import prefetch
+from jaxunshear.training.devices import prefetch
 
 
 def test_in_order_and_one_ahead_in_a_thread_of_their_own():

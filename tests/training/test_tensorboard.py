@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.report.history import read_lines
+from jaxunshear.training.monitor import list_scalars, open_events
 from jaxunshear.training.step import make_schedule
-from jaxunshear.training.tensorboard import list_scalars, open_events
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small

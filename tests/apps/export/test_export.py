@@ -36,10 +36,10 @@ from jaxunshear.files import write_json
 from jaxunshear.inference.forward import make_forward
 from jaxunshear.model_folders import RELEASED
 from jaxunshear.models import pin_networks, posenet, unshearnet
-from jaxunshear.models.pin_grid import make_grid
+from jaxunshear.models.pin_networks import make_grid
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.training import checkpoint
-from jaxunshear.training.trained_network import TrainedNetwork
+from jaxunshear.training.checkpoint import TrainedNetwork
 from tests.helpers.models import write_network
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -10,7 +10,7 @@ from jax import lax
 
 from jaxunshear.config.networks import PinUnshear
 from jaxunshear.models import layer_choice, pin_networks
-from jaxunshear.models.fast.patches import convolve
+from jaxunshear.models.fast.conv import convolve
 
 ORDER = ("NHWC", "HWIO", "NHWC")
 
