@@ -21,7 +21,7 @@ from jaxunshear.simulator.admm import (
     SolverResult,
     SolverStart,
 )
-from jaxunshear.simulator.increment import RHO, Increment, project
+from jaxunshear.simulator.contact_problem import RHO, Increment, project
 
 State = TypeVar("State")
 _Walk = tuple[

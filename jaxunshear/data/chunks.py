@@ -23,7 +23,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, read_npz, write_npz
 from jaxunshear.perception.png import encode_png
 from jaxunshear.progress import Progress
-from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.contacts import Contacts
 from jaxunshear.simulator.scene import Scenes
 
 PNG_LEVEL = 4

@@ -12,7 +12,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.splits import BLOCK
 from jaxunshear.data.chunks import render_images
 from jaxunshear.data.sampling import sample_pairs
-from jaxunshear.simulator.contact_results import compute_indentation
+from jaxunshear.simulator.contacts import compute_indentation
 from jaxunshear.simulator.paths import make_paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.simulate import follow

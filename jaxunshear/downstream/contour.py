@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
-from jaxunshear.simulator.obstacle import REACH_MM
 from jaxunshear.simulator.stimuli import (
+    REACH_MM,
     Stimulus,
     compute_distances,
     compute_outward_normal,

@@ -32,7 +32,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, read_npz, write_npz
 from jaxunshear.inference.edge_methods import EdgeEstimator
 from jaxunshear.progress import Progress
-from jaxunshear.simulator.contact_results import Contacts, Skins
+from jaxunshear.simulator.contacts import Contacts, Skins
 from jaxunshear.simulator.paths import Paths
 from jaxunshear.simulator.scene import make_edge_labeler
 from jaxunshear.simulator.simulate import follow

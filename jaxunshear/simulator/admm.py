@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxunshear.simulator.increment import RHO, Increment, project
+from jaxunshear.simulator.contact_problem import RHO, Increment, project
 from jaxunshear.simulator.level import STRONG_FRICTION
 
 OVER_RELAXATION = 1.8

@@ -23,7 +23,7 @@ from jaxunshear.simulator.contact_problem import (
     count_node_states,
     make_undeformed_skins,
 )
-from jaxunshear.simulator.contact_results import Contacts, Skins
+from jaxunshear.simulator.contacts import Contacts, Skins
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.friction import follow_path
 from jaxunshear.simulator.harmonics import make_sixfold_permutations

@@ -15,8 +15,10 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from jaxunshear.simulator.admm import Solver, SolverStart
-from jaxunshear.simulator.contact_problem import ContactProblem, Quality, Skin
-from jaxunshear.simulator.frame import (
+from jaxunshear.simulator.contact_problem import RHO, ContactProblem, Increment, Quality, Skin
+from jaxunshear.simulator.paths import (
+    DEPTH,
+    YAW,
     compute_increment_length,
     rotate,
     rotate_back,
@@ -24,9 +26,7 @@ from jaxunshear.simulator.frame import (
     transform_to_level,
     transpose,
 )
-from jaxunshear.simulator.increment import RHO, Increment
-from jaxunshear.simulator.obstacle import compute_surface_drop
-from jaxunshear.simulator.paths import DEPTH, YAW
+from jaxunshear.simulator.stimuli import compute_surface_drop
 
 PASSES = 2
 FIRST_PASS = 2.0  # times the tolerance is enough before the last pass: a quarter fewer iterations

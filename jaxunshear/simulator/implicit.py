@@ -29,16 +29,17 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Float
 
 from jaxunshear.simulator.admm import Solver, SolverStart
-from jaxunshear.simulator.contact_problem import ContactProblem, Skin
-from jaxunshear.simulator.frame import compute_increment_length, rotate, transpose
-from jaxunshear.simulator.friction import LEAST_MM, MOST_MM, PASSES, make_increment, move_skins
-from jaxunshear.simulator.increment import (
+from jaxunshear.simulator.contact_problem import (
     RHO,
+    ContactProblem,
     Increment,
+    Skin,
     compute_projection_slopes,
     project,
     solve_linearised,
 )
+from jaxunshear.simulator.friction import LEAST_MM, MOST_MM, PASSES, make_increment, move_skins
+from jaxunshear.simulator.paths import compute_increment_length, rotate, transpose
 
 TOLERANCE = 1e-3  # of the solver's first round, before the Newton steps
 SOLVER = Solver(TOLERANCE, limit=2000)

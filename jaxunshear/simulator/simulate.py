@@ -13,8 +13,9 @@ import numpy as np
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.batches import make_undeformed_contacts, solve_batches
-from jaxunshear.simulator.contact_results import Contacts, Skins
-from jaxunshear.simulator.input_checks import (
+from jaxunshear.simulator.contacts import (
+    Contacts,
+    Skins,
     check_batch,
     check_paths,
     check_scenes,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from jaxunshear.simulator.cholesky import factorise
+from jaxunshear.simulator.elasticity import factorise
 
 
 def band(count: int, seed: int = 0) -> sp.csr_matrix:

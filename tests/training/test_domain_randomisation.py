@@ -100,9 +100,7 @@ def test_the_camera_moves_slides_and_not_the_taps_they_are_unsheared_to():
     mean = np.asarray(drawn["sheared_pins"] - drawn["canonical_pins"]).mean(axis=1)
     still = np.asarray(given["sheared_pins"] - given["canonical_pins"]).mean(axis=1)
     spacing = 36 / TACTIP_127.rings
-    assert (
-        0.5 < mean.std() / np.hypot(still.std() * 1.5, augmentation.SHIFTED * spacing) < 2
-    )
+    assert 0.5 < mean.std() / np.hypot(still.std() * 1.5, augmentation.SHIFTED * spacing) < 2
     np.testing.assert_allclose(
         np.asarray(drawn["canonical_pins"]).mean(axis=1).std(),
         np.asarray(given["canonical_pins"]).mean(axis=1).std(),
