@@ -15,9 +15,11 @@ from jaxunshear.downstream.geometry import measure_tap_motions
 from jaxunshear.downstream.reconstruct import (
     CELL_MM,
     HeightMap,
+    ShapeEstimator,
     ShapeScore,
     compute_skin_positions,
     fuse_heights,
+    make_shape_estimators,
     score_shape,
     transform_to_target,
 )
@@ -28,7 +30,6 @@ from jaxunshear.downstream.servo import (
     Trajectories,
     compute_servo_digest,
 )
-from jaxunshear.downstream.shape_estimators import ShapeEstimator, make_shape_estimators
 from jaxunshear.errors import UserError
 from jaxunshear.inference.edge_methods import (
     Unshear,

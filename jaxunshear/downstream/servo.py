@@ -26,8 +26,15 @@ from jaxunshear.config.data import PairedData
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.stimuli import Outline, StimulusSetting
 from jaxunshear.data.chunks import RENDER_BATCH, pack_bits, render_images
-from jaxunshear.downstream.contour import Contour, trace_contour, update_arc_positions
-from jaxunshear.downstream.controller import Command, ControllerGains, ControllerState, control
+from jaxunshear.downstream.contour import (
+    Command,
+    Contour,
+    ControllerGains,
+    ControllerState,
+    control,
+    trace_contour,
+    update_arc_positions,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, read_npz, write_npz
 from jaxunshear.inference.edge_methods import EdgeEstimator

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxunshear.downstream.object_reconstruction import ReconstructedObject
-from jaxunshear.downstream.shape_estimators import SKIN, VORONOI
+from jaxunshear.downstream.reconstruct import SKIN, VORONOI
 from jaxunshear.report.trajectory_figure import METHOD_TITLES
 from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, encode_png, wrap_title
 

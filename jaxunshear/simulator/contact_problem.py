@@ -1,4 +1,9 @@
-"""Contacts as arrays: B scenes that share one compliance, and the state of their skins."""
+"""Contacts as arrays: B scenes on one compliance, their skins, and the equation of an increment.
+
+The nodal forces f of an increment solve the fixed point f = P(f - (W f + b)): W f + b is the gap
+and the slip of each node, and P cuts the pressure at zero and then the pull to the friction's disk.
+Linearised at a solution, D is the slope of P by the force.
+"""
 
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,4 +1,4 @@
-"""What comes out of a contact, and what a later motion continues from."""
+"""What comes out of a contact, what a later motion continues from, and what cannot be simulated."""
 
 from collections.abc import Callable
 from typing import NamedTuple

@@ -3,7 +3,7 @@
 At every increment the nodal forces f = (t, p) satisfy: no penetration, no pull, |t| <= mu p, and t
 opposes the slip of this increment. With u = W f and a gap g that is linear in u this is a fixed
 point f = P(f - (W f + b)), where P cuts p at zero and then t to the disk of radius mu p (Alart &
-Curnier 1991). `increment` holds the equation, `admm` solves it. W is scaled to a unit mean
+Curnier 1991). `contact_problem` holds the equation, `admm` solves it. W is scaled to a unit mean
 diagonal. Without friction the unknowns are p alone. Read `follow_path` first.
 """
 

@@ -1,4 +1,4 @@
-"""Meshes of a body of revolution: 8-node quadrilaterals in the half-plane (r, z).
+"""Meshes of a body of revolution: 8-node quadrilaterals in the half-plane (r, z), and pins on them.
 
 The dome is a quarter disk: a square core on the axis, then layers out to the arc, so that no
 element degenerates. Read `make_dome_mesh` first.

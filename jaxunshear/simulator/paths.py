@@ -5,6 +5,10 @@ Many motions are arrays with a leading axis:
     press, slide, twist: points = [[-2, 0, 0, 0, 0, 0], [-2, 0, 0, 3, 0, 0], [0, 0, 20, 3, 0, 0]]
 
 `Scenes` are the paper's two kinds of motion; `make_paths` converts them.
+
+The level frame is the sensor frame with its tilt undone: there the stimulus' top is the plane
+z = 0. A `Frame` holds the rotations (B, 3, 3) from the sensor frame to the level frame, or None
+where no sensor is tilted.
 """
 
 from dataclasses import dataclass

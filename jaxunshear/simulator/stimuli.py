@@ -1,5 +1,10 @@
 """The objects that are touched: planar shapes with a flat top, as signed distances.
 
+The contact sees a flat top that rounds off over the edge. For it signed distances are sampled once
+on a grid about the target, so that one compiled program serves every shape and a batch may mix
+shapes. Between grid points they are interpolated bilinearly, with an error below 0.01 mm away from
+corners.
+
 Each shape is written in a frame of its own. The target frame has its origin at the target contact
 point, the edge or corner that the paper's Table 1 names, x along the outward normal (at a corner,
 the bisector) and y along the edge.

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.downstream.controller import ControllerGains, ControllerState, control
+from jaxunshear.downstream.contour import ControllerGains, ControllerState, control
 
 WIDE = ControllerGains(limit_mm=100.0, limit_deg=1000.0)
 

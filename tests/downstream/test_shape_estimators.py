@@ -6,10 +6,10 @@ import pytest
 from jaxunshear.config.image import Camera, Preprocess
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.data.simulated_contacts import SimulatedContacts
-from jaxunshear.downstream.reconstruct import compute_skin_positions
-from jaxunshear.downstream.shape_estimators import (
+from jaxunshear.downstream.reconstruct import (
     SKIN,
     VORONOI,
+    compute_skin_positions,
     find_separating_level,
     make_shape_estimators,
 )

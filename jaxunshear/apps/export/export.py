@@ -32,7 +32,7 @@ from jaxunshear.output_checks import check_new_folder
 from jaxunshear.protected_folders import check_outside
 
 if TYPE_CHECKING:
-    from jaxunshear.apps.export.frames import ExportCamera
+    from jaxunshear.apps.export.onnx_graph import ExportCamera
 
 ONNX, STABLEHLO = ".onnx", ".stablehlo"
 EXTRA = "pip install -c constraints.txt '.[onnx]'"
@@ -108,7 +108,7 @@ def _check_extra(suffix: str) -> None:
 
 
 def _read_camera(model: TrainedModel, frames: Path) -> "ExportCamera":
-    from jaxunshear.apps.export.frames import read_camera
+    from jaxunshear.apps.export.onnx_graph import read_camera
 
     return read_camera(frames, model.preprocess, model.view)
 
@@ -116,8 +116,8 @@ def _read_camera(model: TrainedModel, frames: Path) -> "ExportCamera":
 def _export_onnx(
     parts: ExportedModel, model: TrainedModel, batch: int | None, camera: "ExportCamera | None"
 ) -> tuple[bytes, float]:
-    from jaxunshear.apps.export.frames import preprocess_frames
     from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
+    from jaxunshear.apps.export.onnx_graph import preprocess_frames
 
     data = build_onnx(parts, batch, camera, _make_metadata(parts, model, camera))
     run = make_onnx_runner(data, parts)

@@ -173,7 +173,7 @@ def _add_grid_trunk(
     params: Variables,
     motions: str,
 ) -> str:
-    """Add the nodes of `pin_grid.GridTrunk`, channels first except in normalisation."""
+    """Add the nodes of `pin_networks.GridTrunk`, channels first except in normalisation."""
     grid = _to_float32(variables["batch_stats"]["grid"])
     side = math.isqrt(grid.shape[1])
     by_pin = graph.add("Reshape", motions, np.array([-1, len(grid), 2]))

@@ -16,16 +16,20 @@ from jaxunshear.apps.explore.drawing import (
     to_px,
     trace_outlines,
 )
-from jaxunshear.apps.explore.explorer import SHEARED, TAP, TRUE, UNSHEARED, make_explorer
-from jaxunshear.apps.explore.touch import (
+from jaxunshear.apps.explore.explorer import (
     DEEPEST_MM,
     FREE,
     LEVEL,
+    SHEARED,
     SLIPPING,
     STUCK,
+    TAP,
+    TRUE,
+    UNSHEARED,
     Touch,
     compute_skin_state,
     list_warmup_touches,
+    make_explorer,
     simulate_touch,
 )
 from jaxunshear.config.reach import compute_max_depth_mm

@@ -16,8 +16,8 @@ from PIL import Image
 
 from jaxunshear import load_model
 from jaxunshear.apps.export.export import build_stablehlo
-from jaxunshear.apps.export.frames import preprocess_frames, read_camera
 from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
+from jaxunshear.apps.export.onnx_graph import preprocess_frames, read_camera
 from jaxunshear.apps.export.parts import (
     MAX_DIFFERENCE,
     ExportedModel,
