@@ -193,8 +193,12 @@ def _make_stream_sides(size: int, batch: int) -> Sides:
     image = make_noise_images(batch, size)[1, 0, ..., 0]
 
     def ours() -> Work:
-        forward = make_forward({DISENTANGLED: net, POSENET: pose_net}, {POSENET: TARGETS})
-        run = jit_for_inference(forward, _init_stream_variables(net, pose_net))
+        variables = _init_stream_variables(net, pose_net)
+        networks = {
+            DISENTANGLED: TrainedNetwork(net, variables[DISENTANGLED], ()),
+            POSENET: TrainedNetwork(pose_net, variables[POSENET], TARGETS),
+        }
+        run = jit_for_inference(make_forward(networks), variables)
         return lambda: jax.device_get(run(image[None])) is None
 
     yield "jaxunshear", ours

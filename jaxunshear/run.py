@@ -199,11 +199,12 @@ def _train(run: _Run, network: str) -> bool:
         take_first(examples.reader.split, training.validation_images, fields),
         examples.per_epoch,
     )
-    provenance = Provenance(
-        source.describe_origin(config),
-        list_training_digests(experiment, network, begin),
-        InitialWeights(load_best(begin), compute_weights_digest(begin)) if begin else None,
-    )
+    initial = None
+    if begin:
+        weights = load_best(begin)
+        initial = InitialWeights(weights, compute_weights_digest(weights))
+    digests = list_training_digests(experiment, network, begin)
+    provenance = Provenance(source.describe_origin(config), digests, initial)
     summary = train(task, training, training_data, seed, folder, provenance)
     loss = "unknown" if summary.best_loss is None else f"{summary.best_loss:.5f}"
     print(

@@ -16,10 +16,9 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED
-from jaxunshear.config.targets import Targets
 from jaxunshear.models import posenet
 from jaxunshear.models.registry import predict, unshear
-from jaxunshear.models.weights import Net, Tree, Variables
+from jaxunshear.models.weights import Tree, Variables
 from jaxunshear.training.checkpoint import TrainedNetwork
 
 AS_RECORDED, UNSHEARED = "as_recorded", "unsheared"  # what a pose is predicted from
@@ -37,16 +36,16 @@ def scale_inputs(inputs: AnyArray) -> AnyArray:
     return inputs[..., None].astype(np.float32) / 255 if inputs.dtype == np.uint8 else inputs
 
 
-def make_forward(nets: Mapping[str, Net], targets: Mapping[str, Targets]) -> Forward:
-    """Chain networks, in the order in which they run, a PoseNet last; `targets` by network."""
+def make_forward(networks: Mapping[str, TrainedNetwork]) -> Forward:
+    """Chain networks, in the order in which they run, a PoseNet last."""
 
     def forward(variables: Variables, inputs: Array) -> tuple[Array, dict[str, Array]]:
         values = scale_inputs(inputs)
-        *unshearing, (name, pose_net) = nets.items()
-        for unshearing_name, net in unshearing:
-            values = unshear(net, variables[unshearing_name], values)
-        outputs = predict(pose_net, variables[name], values)
-        return values, posenet.unscale_outputs(outputs, targets[name])
+        *unshearing, (last, pose_network) = networks.items()
+        for name, network in unshearing:
+            values = unshear(network.net, variables[name], values)
+        outputs = predict(pose_network.net, variables[last], values)
+        return values, posenet.unscale_outputs(outputs, pose_network.targets)
 
     return forward
 

@@ -10,7 +10,7 @@
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -82,6 +82,7 @@ class TrainedModel:
     frame: SensorFrame | None = None
     force: bool = False  # use images that are not of the model's sensor
     with_sheared_poses: bool = True  # `predict` poses of the images as they are, too
+    _loaded: dict[str, TrainedNetwork] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def sensor(self) -> Sensor:
@@ -109,16 +110,17 @@ class TrainedModel:
         return tuple(name for name in ALL_NETWORKS if has_model(self.folder / name))
 
     def load_network(self, name: str) -> TrainedNetwork:
-        return load_network(self.folder / name)
+        """Load a network, once. Raises UserError."""
+        if name not in self._loaded:
+            self._loaded[name] = load_network(self.folder / name)
+        return self._loaded[name]
 
     @cached_property
     def _main_networks(self) -> dict[str, TrainedNetwork]:
         # a PoseNet of simulated slides is for comparisons alone
-        names = (
-            DISENTANGLED,
-            *(PREFERRED_POSENETS if self.source.predicts_directly else PREFERRED_POSENETS[:1]),
-        )
-        networks = {name: self.load_network(name) for name in names if name in self.networks}
+        posenets = PREFERRED_POSENETS if self.source.predicts_directly else (POSENET,)
+        names = [name for name in (DISENTANGLED, *posenets) if name in self.networks]
+        networks = {name: self.load_network(name) for name in names}
         if not networks:
             raise UserError(
                 f"{self.folder} holds no trained network that unshears or reads poses: "

@@ -144,9 +144,9 @@ def load_best(folder: Path) -> Json:
     return _nest(averages)
 
 
-def compute_weights_digest(folder: Path) -> str:
-    """Compute the digest of the variables that `load_best` returns. Raises UserError."""
-    return _compute_digest(list_leaves(load_best(folder)))
+def compute_weights_digest(variables: Variables) -> str:
+    """Compute the digest of variables as `load_best` returns them."""
+    return _compute_digest(list_leaves(variables))
 
 
 def write_weights(folder: Path, variables: Variables, modules: Sequence[str] = ()) -> None:

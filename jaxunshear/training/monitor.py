@@ -50,10 +50,14 @@ def _make_error(what: str, step: int, batch: Batch, folder: Path) -> UserError:
     """Make the error that names step, term, batch, the checkpoints that are kept and a remedy."""
     number = step - 1
     description, remedy = _inspect_batch(batch)
+    kept, checkpoints = checkpoint.list_kept_steps(folder), "no checkpoint was written yet"
+    if kept:
+        steps = " and the better one of step ".join(map(str, kept))
+        checkpoints = f"the checkpoint of step {steps} is kept"
     return UserError(
         f"training {folder} stopped: {what} not finite at step {step}, of batch {number} "
         f"(batches({number}) begins with it again) {description}; "
-        f"{_describe_checkpoints(folder)}; {remedy}"
+        f"{checkpoints}; {remedy}"
     )
 
 
@@ -75,13 +79,6 @@ def _inspect_batch(batch: Batch) -> tuple[str, str]:
     most = max(array.max() for array in arrays.values())
     remedy = "if these are as they should be, lower learning_rate (in another folder)"
     return f"whose numbers are {least:g} to {most:g}", remedy
-
-
-def _describe_checkpoints(folder: Path) -> str:
-    steps = checkpoint.list_kept_steps(folder)
-    if not steps:
-        return "no checkpoint was written yet"
-    return f"the checkpoint of step {' and the better one of step '.join(map(str, steps))} is kept"
 
 
 def make_measurement(

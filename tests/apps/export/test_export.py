@@ -280,15 +280,12 @@ def test_skin_takes_pins(tmp_path):
     pins[0, :9] = np.nan
     skin = load_model("skin")
     networks = {name: skin.load_network(name) for name in ("disentangled", "posenet")}
-    nets, weights, learnt = (
-        {name: getattr(network, part) for name, network in networks.items()}
-        for part in ("net", "variables", "targets")
-    )
-    after, pose = jax.jit(make_forward(nets, learnt))(weights, pins)
+    weights = {name: network.variables for name, network in networks.items()}
+    after, pose = jax.jit(make_forward(networks))(weights, pins)
     found = session.run(["unsheared", "pose"], {"pins": pins})
     np.testing.assert_allclose(found[0], after, atol=1e-3)
     np.testing.assert_allclose(
-        found[1].T, [pose[target.name] for target in learnt["posenet"]], atol=1e-3
+        found[1].T, [pose[target.name] for target in networks["posenet"].targets], atol=1e-3
     )
 
 
