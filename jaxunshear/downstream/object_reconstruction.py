@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxunshear.data import simulated_contacts
 from jaxunshear.data.chunks import unpack_bits
-from jaxunshear.data.simulated_contacts import SimulatedContacts, simulate_contacts
+from jaxunshear.data.simulated_contacts import simulate_contacts
 from jaxunshear.downstream.contour import Contour, trace_contour
 from jaxunshear.downstream.geometry import measure_tap_motions
 from jaxunshear.downstream.reconstruct import (
@@ -104,7 +104,15 @@ def reconstruct(
     @cache
     def make_estimators(depth_mm: float) -> dict[str, ShapeEstimator]:
         taps = simulate_contacts(model.experiment, simulated_contacts.SCALE_TAPS, 1, depth_mm)
-        return _make_estimators(model, taps)
+        xy = transform_to_target(taps.pose[:, :3], compute_skin_positions(model.sensor))
+        distance = np.zeros(xy.shape[:2])
+        for index, stimulus in enumerate(paired.stimuli):
+            rows = taps.stimulus == index
+            distance[rows] = compute_distances(make_stimulus(stimulus), xy[rows])
+        motion = measure_tap_motions(model.lattice, taps)
+        return make_shape_estimators(
+            model.sensor, model.lattice, motion, taps.indentation_mm, distance
+        )
 
     def reconstruct_task(task: ServoTask, trajectories: Trajectories) -> ReconstructionResult:
         contour = trace_contour(make_stimulus(task.stimulus))
@@ -112,17 +120,6 @@ def reconstruct(
         return _reconstruct_task(target, networks, make_estimators(task.depth_mm))
 
     return (reconstruct_task(*each) for each in trajectories)
-
-
-def _make_estimators(model: TrainedModel, taps: SimulatedContacts) -> dict[str, ShapeEstimator]:
-    paired = model.require_simulation("reconstruct")
-    xy = transform_to_target(taps.pose[:, :3], compute_skin_positions(model.sensor))
-    distance = np.zeros(xy.shape[:2])
-    for index, stimulus in enumerate(paired.stimuli):
-        rows = taps.stimulus == index
-        distance[rows] = compute_distances(make_stimulus(stimulus), xy[rows])
-    motion = measure_tap_motions(model.lattice, taps)
-    return make_shape_estimators(model.sensor, model.lattice, motion, taps.indentation_mm, distance)
 
 
 def _reconstruct_task(

@@ -233,9 +233,9 @@ def _take_step(loop: _Loop, trajectories: Trajectories) -> None:
     trajectories.steps += 1
     walking = rows[ends[rows] == WALKING]
     if trajectories.steps < trajectories.point.shape[1]:
-        trajectories.point[walking, step + 1] = _apply_motion(
-            point[walking], np.asarray(move)[walking], np.asarray(turn)[walking]
-        )
+        moved = rotate_2d(np.asarray(move)[walking], np.radians(point[walking, 2]))
+        motion = np.column_stack([moved, np.asarray(turn)[walking]])
+        trajectories.point[walking, step + 1] = point[walking] + motion
 
 
 def _simulate_step(
@@ -308,10 +308,6 @@ def _perceive(
             edge = np.stack(estimate_edge(images[batch]), -1)
         trajectories.perceive_s[batch] += (time.perf_counter() - start) / len(batch)
         trajectories.perceived[batch, step] = np.where(walking[batch, None], edge, np.nan)
-
-
-def _apply_motion(point: np.ndarray, move: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    return point + np.column_stack([rotate_2d(move, np.radians(point[:, 2])), turn])
 
 
 def load_trajectories(file: Path) -> tuple[ServoTask, Trajectories]:

@@ -308,16 +308,14 @@ def _apply(net: PinUnshear, variables: Variables, method: str, *inputs: Array) -
 
 
 def _make_inputs(net: PinNet, variables: Variables, pins: Array) -> tuple[Array, ...]:
-    """Make the inputs of E, or of a PoseNet: motions, and the grid if the network convolves."""
-    motions = _compute_motions(variables, pins)
-    return (motions, variables["batch_stats"]["grid"]) if net.convolved else (motions,)
+    """Make the inputs of E, or of a PoseNet: motions, and the grid if the network convolves.
 
-
-def _compute_motions(variables: Variables, pins: Array) -> Array:
-    """Compute motions (B, 2 P) of pins px in units of `spread`; 0 for missing pins."""
+    Motions (B, 2 P) are in units of `spread`; 0 for missing pins.
+    """
     constants = variables["batch_stats"]
     motion = (pins - constants["rest"][None]) / constants["spread"]
-    return jnp.where(jnp.isfinite(motion), motion, 0).reshape(pins.shape[0], -1)
+    motions = jnp.where(jnp.isfinite(motion), motion, 0).reshape(pins.shape[0], -1)
+    return (motions, constants["grid"]) if net.convolved else (motions,)
 
 
 def _convert_to_pins(variables: Variables, motions: Array) -> Array:

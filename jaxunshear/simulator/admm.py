@@ -70,7 +70,12 @@ class Solver:
         """
         if self.method is not None:
             return self.method(increment, start, tolerance_mm, self.limit)
-        admm = _make_admm(increment, tolerance_mm, self)
+        relaxation: Array | float = OVER_RELAXATION
+        strong = None
+        if self.strong_friction is not None:
+            strong = increment.friction > STRONG_FRICTION
+            relaxation = jnp.where(strong, self.strong_friction, relaxation)[:, None, None]
+        admm = _Admm(increment, tolerance_mm, self.limit, relaxation, strong)
         state = jax.lax.while_loop(admm.is_running, admm.advance, admm.start(start))
         return SolverResult(
             state.iterates.force, state.iterates.dual, state.residual_mm, state.iterations
@@ -89,14 +94,6 @@ class _State(NamedTuple):
     residual_mm: Array  # (B,)
     iterations: Array  # (B,)
     batch_iterations: Array  # ()
-
-
-def _make_admm(increment: Increment, tolerance_mm: Array, solver: Solver) -> "_Admm":
-    if solver.strong_friction is None:
-        return _Admm(increment, tolerance_mm, solver.limit, OVER_RELAXATION, None)
-    strong = increment.friction > STRONG_FRICTION
-    relaxation = jnp.where(strong, solver.strong_friction, OVER_RELAXATION)[:, None, None]
-    return _Admm(increment, tolerance_mm, solver.limit, relaxation, strong)
 
 
 @dataclass(frozen=True)
