@@ -94,9 +94,8 @@ def load_dome(h, force):
 def test_finer_meshes_agree_ever_better():
     force, sizes = [0.5, 0.0, 1.0], (1.5, 0.75, 0.4)
     nodes, pins = load_dome(0.25, force)
-    assert np.all(nodes.reshape(-1, 3)[0, [0, 2]] > 0) and np.all(
-        pins.reshape(-1, 3)[0, [0, 2]] > 0
-    )
+    assert np.all(nodes.reshape(-1, 3)[0, [0, 2]] > 0)
+    assert np.all(pins.reshape(-1, 3)[0, [0, 2]] > 0)
     errors = [
         (np.linalg.norm(w - nodes) / np.linalg.norm(nodes), np.linalg.norm(g - pins))
         for w, g in (load_dome(h, force) for h in sizes)

@@ -242,9 +242,8 @@ def special_found(special, special_model):
 def test_no_contact_has_no_derivative(special_found):
     slopes = special_found.d_points, special_found.d_friction, special_found.d_log_ratio
     assert not any(np.any(slope[:2]) for slope in slopes)
-    assert (
-        special_found.positions.is_solved.all() and not special_found.positions.at_switch[:2].any()
-    )
+    assert special_found.positions.is_solved.all()
+    assert not special_found.positions.at_switch[:2].any()
     # the apex' gap after the first of three increments
     assert special_found.positions.margin_mm[1] == pytest.approx(0.01 / 3)
 

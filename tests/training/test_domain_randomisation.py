@@ -50,15 +50,12 @@ def test_the_edges_direction_turns_with_the_pins(jit):
     given, draw = batch(), make_randomisation(REST, 1.0)
     turned = (jax.jit(draw) if jit else draw)(given, jax.random.key(3))
     by = np.asarray(turned["edge"][:, 1] - given["edge"][:, 1])
-    assert (
-        wrapped(by - by[0]).max() < 1e-3
-        and wrapped(by[0] / 15 % 1 * 15).max() < 1e-2
-        and wrapped(by[0]) > 1
-    )
+    assert wrapped(by - by[0]).max() < 1e-3
+    assert wrapped(by[0] / 15 % 1 * 15).max() < 1e-2
+    assert wrapped(by[0]) > 1
     assert np.array_equal(turned["edge"][:, 0], given["edge"][:, 0])
-    assert np.all(np.asarray(turned["edge"][:, 1]) <= 180) and np.all(
-        np.asarray(turned["edge"][:, 1]) > -180
-    )
+    assert np.all(np.asarray(turned["edge"][:, 1]) <= 180)
+    assert np.all(np.asarray(turned["edge"][:, 1]) > -180)
     expected = touch(np.asarray(turned["edge"][:, 1], np.float64))
     size = np.sqrt(np.mean((expected - REST) ** 2))
     assert np.sqrt(np.mean((turned["canonical_pins"] - expected) ** 2)) < 0.1 * size
@@ -75,11 +72,9 @@ def test_a_slide_drags_further_or_less_and_its_tap_stays_one(monkeypatch):
     times = np.concatenate(
         [length(draw(given, jax.random.key(i))) / length(given) for i in range(20)]
     )
-    assert (
-        times.min() > 0.9 * MOTION_FACTOR[0]
-        and times.max() < 1.1 * MOTION_FACTOR[1]
-        and np.ptp(times) > 1
-    )
+    assert times.min() > 0.9 * MOTION_FACTOR[0]
+    assert times.max() < 1.1 * MOTION_FACTOR[1]
+    assert np.ptp(times) > 1
     assert np.median(times) == pytest.approx(
         1, abs=0.15
     )  # as many fall short of the simulator as go farther

@@ -16,9 +16,8 @@ TERMS = {"gradient": jnp.asarray(1.0), "patch": jnp.asarray(0.5), "supervised": 
 def line(tmp_path, terms, batch=SOUND):
     with pytest.raises(UserError) as stop:
         check_terms(7, TERMS | terms, batch, tmp_path / "run")
-    assert "\n" not in str(
-        stop.value
-    ) and "at step 7, of batch 6 (batches(6) begins with it again)" in str(stop.value)
+    assert "\n" not in str(stop.value)
+    assert "at step 7, of batch 6 (batches(6) begins with it again)" in str(stop.value)
     return str(stop.value)
 
 
@@ -44,11 +43,9 @@ def test_the_terms_are_named_and_the_gradient_only_where_it_is_alone(tmp_path, v
 
 def test_a_sound_batch_points_to_the_learning_rate(tmp_path):
     said = line(tmp_path, {"patch": jnp.asarray(np.nan)})
-    assert (
-        "whose numbers are -3.5 to 255;" in said
-        and "lower learning_rate" in said
-        and "fix the data" not in said
-    )
+    assert "whose numbers are -3.5 to 255;" in said
+    assert "lower learning_rate" in said
+    assert "fix the data" not in said
 
 
 def test_broken_examples_are_named_and_many_are_cut_short(tmp_path):

@@ -91,11 +91,9 @@ def test_taps_without_a_slide_come_out_as_they_went_in():
 def test_two_slides_to_one_pose_are_unsheared_alike():
     net = PinUnshear(**SMALL)
     task = make_unshear_task(net, name_losses(consistency=2.0), facts=FACTS)
-    variables, pins, other = (
-        task.init(KEY),
-        batch(3)["sheared_pins"][:2],
-        batch(4)["sheared_pins"][:2],
-    )
+    variables = task.init(KEY)
+    pins = batch(3)["sheared_pins"][:2]
+    other = batch(4)["sheared_pins"][:2]
     named = task.terms(variables, batch() | {ONE: pins, ANOTHER: other}, KEY)[0]
     wanted = compute_pin_distance(
         unshear(net, variables, pins), unshear(net, variables, other), variables

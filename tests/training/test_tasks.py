@@ -75,10 +75,8 @@ def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher, net):
 
 
 def test_its_gradient_reaches_what_makes_the_image_and_nothing_else(teacher):
-    task, batch = (
-        make_unshear_task(small.NET, BY_TAP, Supervision(small.TARGETS, teacher=teacher)),
-        small.pair(3, 4),
-    )
+    task = make_unshear_task(small.NET, BY_TAP, Supervision(small.TARGETS, teacher=teacher))
+    batch = small.pair(3, 4)
     gradient = gradient_of(task, jax.jit(task.init)(jax.random.key(0)), batch, "pose_tap")
     largest = {
         name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part))
@@ -102,10 +100,8 @@ def test_without_weight_the_teacher_is_never_asked():
 
 def test_against_labels_the_tap_does_not_enter(teacher):
     net = small.NET
-    task, batch = (
-        make_unshear_task(net, BY_LABEL, Supervision(small.TARGETS, teacher=teacher)),
-        with_poses(small.pair(3, 4)),
-    )
+    task = make_unshear_task(net, BY_LABEL, Supervision(small.TARGETS, teacher=teacher))
+    batch = with_poses(small.pair(3, 4))
     variables = jax.jit(task.init)(jax.random.key(0))
     image = jax.jit(unshear, static_argnums=0)(
         net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255

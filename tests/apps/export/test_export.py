@@ -180,10 +180,8 @@ def test_frames_are_prepared_in_the_file(tmp_path, kind, box):
 
 
 def test_frames_prepared_otherwise_differ(tmp_path):
-    camera, parts = (
-        read_camera(frames_in(tmp_path / "frames", "grey"), Preprocess(size=SIZE), None),
-        images(),
-    )
+    camera = read_camera(frames_in(tmp_path / "frames", "grey"), Preprocess(size=SIZE), None)
+    parts = images()
     run = make_onnx_runner(build_onnx(parts, None, camera, {}), parts)
     assert (
         measure_difference(
@@ -251,11 +249,9 @@ def test_a_file_says_what_it_is_and_reads_what_the_model_reads(run_dir, model, t
     assert main(["export", str(run_dir), "--out", str(out), "--batch", "2"]) == 0
     session = onnxruntime.InferenceSession(out)
     known = session.get_modelmeta().custom_metadata_map
-    assert (
-        known["size_px"] == "32"
-        and known["pose_of"] == "unsheared"
-        and "simulated" in known["learnt"]
-    )
+    assert known["size_px"] == "32"
+    assert known["pose_of"] == "unsheared"
+    assert "simulated" in known["learnt"]
     names, units = known["names"].split(","), known["units"].split(",")
     assert units == [name.rpartition("_")[2] for name in names] and set(units) == {"mm", "deg"}
     assert session.get_inputs()[0].shape == [2, 32, 32] and known["jaxunshear"]
