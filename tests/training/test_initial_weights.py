@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.configs import compute_fingerprint
-from jaxunshear.config.data import Recorded, RecordedTaps
+from jaxunshear.config.data import PairedData, Recorded, RecordedTaps
 from jaxunshear.config.experiment import Experiment, list_further_tests
+from jaxunshear.config.network_config import resolve_network
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
 from jaxunshear.model_folders import RELEASED, load_settings
@@ -20,6 +22,7 @@ from jaxunshear.models import unshearnet
 from jaxunshear.training import checkpoint, trainer
 from jaxunshear.training.provenance import (
     InitialWeights,
+    check_origin,
     check_unseen,
     list_training_digests,
     replace_weights,
@@ -171,3 +174,15 @@ def test_a_training_goes_on_from_released_weights_and_knows_which(tmp_path):
     assert "start" not in json.loads((tmp_path / "fresh" / "model.json").read_text())
     with pytest.raises(UserError, match="start = of these, now others"):
         trained(tmp_path / "started", InitialWeights(released, "others"))
+
+
+def test_a_network_of_other_data_is_refused(tmp_path):
+    own = open_source(SIMULATED).describe_origin(resolve_network(SIMULATED, "disentangled"))
+    write_json(tmp_path / "disentangled" / "model.json", {"origin": own})
+    check_origin(SIMULATED, "disentangled", tmp_path)
+    other = replace(SIMULATED, paired=PairedData(seed=7))
+    with pytest.raises(UserError, match=r"another settings\.seed: give another --out"):
+        check_origin(other, "disentangled", tmp_path)
+    write_json(tmp_path / "disentangled" / "model.json", {"origin": own | {"version": "2.4.0"}})
+    with pytest.raises(UserError, match="another version"):
+        check_origin(SIMULATED, "disentangled", tmp_path)

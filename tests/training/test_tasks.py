@@ -98,7 +98,7 @@ def test_without_weight_the_teacher_is_never_asked():
     assert set(validated) == {"supervised", "reconstruction"}
 
 
-def test_against_labels_the_tap_does_not_enter(teacher):
+def test_against_labels_it_is_the_distance_of_the_true_pose(teacher):
     net = small.NET
     task = make_unshear_task(net, BY_LABEL, Supervision(small.TARGETS, teacher=teacher))
     batch = with_poses(small.pair(3, 4))
@@ -110,17 +110,6 @@ def test_against_labels_the_tap_does_not_enter(teacher):
     expected = distances.compute_pose_loss(jax.jit(teacher)(image), targets, WEIGHTS)
     np.testing.assert_allclose(
         jax.jit(task.validate)(variables, batch)["pose_label"], expected, rtol=1e-5
-    )
-    terms = jax.jit(task.terms)
-    trained, other = (
-        terms(variables, given, jax.random.key(2))[0]
-        for given in (batch, batch | {"canonical": batch["canonical"][::-1]})
-    )
-    np.testing.assert_array_equal(trained["pose_label"], other["pose_label"])
-    assert np.all(trained["supervised"] != other["supervised"])
-    moved = batch | {"pose": batch["pose"] + np.array([1, 0, 0, 0])}
-    assert np.all(
-        terms(variables, moved, jax.random.key(2))[0]["pose_label"] != trained["pose_label"]
     )
 
 
