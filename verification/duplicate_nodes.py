@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.simulator.admm import Solver
 from jaxunshear.simulator.contact_problem import (
     RHO,
     ContactProblem,
@@ -15,7 +14,7 @@ from jaxunshear.simulator.contact_problem import (
 )
 from jaxunshear.simulator.contacts import Contacts
 from jaxunshear.simulator.dome import load_shared_dome
-from jaxunshear.simulator.friction import follow_path
+from jaxunshear.simulator.friction import Solver, follow_path
 from jaxunshear.simulator.level import Level
 from jaxunshear.simulator.paths import Paths, cut_increments
 from jaxunshear.simulator.stimuli import sample_obstacles

@@ -17,7 +17,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.simulator.admm import Solver
 from jaxunshear.simulator.contact_problem import (
     RHO,
     ContactProblem,
@@ -32,7 +31,7 @@ from jaxunshear.simulator.elasticity import (
     compute_response,
     sum_harmonics,
 )
-from jaxunshear.simulator.friction import advance_increment, make_increment
+from jaxunshear.simulator.friction import Solver, advance_increment, make_increment
 from jaxunshear.simulator.mesh import Mesh, QuarterDisk, find_edges
 from jaxunshear.simulator.stimuli import Obstacles
 from jaxunshear.simulator.systems import ScaledSystem

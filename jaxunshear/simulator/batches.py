@@ -14,7 +14,6 @@ import numpy as np
 from jaxunshear.config.reach import compute_ring_arcs, compute_ring_spacing
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.progress import Progress
-from jaxunshear.simulator.admm import Solver
 from jaxunshear.simulator.contact_problem import (
     ContactProblem,
     NodeCounts,
@@ -25,7 +24,7 @@ from jaxunshear.simulator.contact_problem import (
 )
 from jaxunshear.simulator.contacts import Contacts, Skins
 from jaxunshear.simulator.dome import load_shared_dome
-from jaxunshear.simulator.friction import follow_path
+from jaxunshear.simulator.friction import Solver, follow_path
 from jaxunshear.simulator.harmonics import make_sixfold_permutations
 from jaxunshear.simulator.level import STRONG_FRICTION
 from jaxunshear.simulator.paths import TILT_X, YAW, Paths, cut_increments

@@ -28,7 +28,6 @@ from jax import Array
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Float
 
-from jaxunshear.simulator.admm import Solver, SolverStart
 from jaxunshear.simulator.contact_problem import (
     RHO,
     ContactProblem,
@@ -38,7 +37,15 @@ from jaxunshear.simulator.contact_problem import (
     project,
     solve_linearised,
 )
-from jaxunshear.simulator.friction import LEAST_MM, MOST_MM, PASSES, make_increment, move_skins
+from jaxunshear.simulator.friction import (
+    LEAST_MM,
+    MOST_MM,
+    PASSES,
+    Solver,
+    SolverStart,
+    make_increment,
+    move_skins,
+)
 from jaxunshear.simulator.paths import compute_increment_length, rotate, transpose
 
 TOLERANCE = 1e-3  # of the solver's first round, before the Newton steps

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.simulator.admm import BETWEEN_CHECKS, Solver
 from jaxunshear.simulator.contact_problem import (
     RHO,
     ContactProblem,
@@ -15,7 +14,7 @@ from jaxunshear.simulator.contact_problem import (
     make_undeformed_skins,
     project,
 )
-from jaxunshear.simulator.friction import follow_path
+from jaxunshear.simulator.friction import BETWEEN_CHECKS, Solver, follow_path
 from jaxunshear.simulator.paths import compute_level_frame
 from jaxunshear.simulator.stimuli import Obstacles
 from verification.half_space import make_press_poses, trace_forces
