@@ -31,20 +31,7 @@ from jaxtyping import Float, Int
 
 from jaxunshear.config.stimuli import ABS_FRICTION, Outline, Target
 from jaxunshear.errors import UserError
-from jaxunshear.simulator.shapes import (
-    Distance,
-    compute_clover_corner,
-    compute_spiral_target,
-    make_clover,
-    make_disk,
-    make_flower,
-    make_half_plane,
-    make_leaf,
-    make_plane,
-    make_polygon,
-    make_spiral,
-    make_teardrop,
-)
+from jaxunshear.simulator import shapes
 
 ACRYLIC_FRICTION = 0.45
 # of the rounding: that of the node spacing, so that a node meets an edge gradually
@@ -58,7 +45,7 @@ class Stimulus:
     """A shape, where its target contact point lies, and its friction."""
 
     name: str
-    distance: Distance  # of points in the shape's own frame
+    distance: shapes.Distance  # of points in the shape's own frame
     target: Target  # x, y (mm), direction of the outward normal (deg), in that frame
     # the shape lies within this radius of its own origin; an endless one is drawn so far
     extent_mm: float
@@ -95,34 +82,34 @@ def compute_outward_normal(
     return (slope / jnp.where(length > 0, length, 1)).reshape(xy.shape)
 
 
-_CORNER = compute_clover_corner(28.0, 28.0, 4.0)
+_CORNER = shapes.compute_clover_corner(28.0, 28.0, 4.0)
 
 STIMULI = {  # names as `StimulusName` of config/stimuli.py
     stimulus.name: stimulus
     for stimulus in (
-        Stimulus("disk", make_disk(50.0), (50.0, 0.0, 0.0), 50.0),
-        Stimulus("clover", make_clover(28.0, 28.0, 4.0), (_CORNER, _CORNER, 45.0), 56.0),
-        Stimulus("teardrop", make_teardrop(30.0, 1.0, 45.0), (46.0, 0.0, 0.0), 46.0),
-        Stimulus("flower", make_flower(38.0, 7.0, 5), (45.0, 0.0, 0.0), 45.0),
-        Stimulus("leaf", make_leaf(55.0, 32.0, 1.0), (0.0, 24.0, 90.0), 46.0),
+        Stimulus("disk", shapes.make_disk(50.0), (50.0, 0.0, 0.0), 50.0),
+        Stimulus("clover", shapes.make_clover(28.0, 28.0, 4.0), (_CORNER, _CORNER, 45.0), 56.0),
+        Stimulus("teardrop", shapes.make_teardrop(30.0, 1.0, 45.0), (46.0, 0.0, 0.0), 46.0),
+        Stimulus("flower", shapes.make_flower(38.0, 7.0, 5), (45.0, 0.0, 0.0), 45.0),
+        Stimulus("leaf", shapes.make_leaf(55.0, 32.0, 1.0), (0.0, 24.0, 90.0), 46.0),
         Stimulus(
             "spiral_1",
-            make_spiral(9.0, 20.0, 2.0, 5.0),
-            compute_spiral_target(9.0, 20.0, 5.0, 1.5),
+            shapes.make_spiral(9.0, 20.0, 2.0, 5.0),
+            shapes.compute_spiral_target(9.0, 20.0, 5.0, 1.5),
             54.0,
             ACRYLIC_FRICTION,
             "acrylic",
         ),
         Stimulus(
             "spiral_2",
-            make_spiral(14.0, 30.0, 1.25, 8.0),
-            compute_spiral_target(14.0, 30.0, 8.0, 5 / 6),
+            shapes.make_spiral(14.0, 30.0, 1.25, 8.0),
+            shapes.compute_spiral_target(14.0, 30.0, 8.0, 5 / 6),
             60.0,
             ACRYLIC_FRICTION,
             "acrylic",
         ),
-        Stimulus("edge", make_half_plane(), (0.0, 0.0, 0.0), 25.0),
-        Stimulus("surface", make_plane(), (0.0, 0.0, 0.0), 25.0),
+        Stimulus("edge", shapes.make_half_plane(), (0.0, 0.0, 0.0), 25.0),
+        Stimulus("surface", shapes.make_plane(), (0.0, 0.0, 0.0), 25.0),
     )
 }
 TRAINING = ("disk", "clover", "teardrop")
@@ -138,7 +125,7 @@ def get_stimulus(name: str) -> Stimulus:
 
 @lru_cache(maxsize=64)
 def _make_from_outline(outline: Outline) -> Stimulus:
-    distance = make_polygon(np.array(outline.points))
+    distance = shapes.make_polygon(np.array(outline.points))
     return Stimulus(
         outline.name, distance, outline.place, outline.extent_mm, outline.friction, "own"
     )
@@ -169,12 +156,12 @@ class Obstacles(NamedTuple):
     distance: jax.Array  # (S, H, H) mm
 
 
-def sample_obstacles(shapes: Sequence[str | Outline | Stimulus]) -> Obstacles:
+def sample_obstacles(stimuli: Sequence[str | Outline | Stimulus]) -> Obstacles:
     """Sample shapes as obstacles, once for each combination of shapes.
 
     Raises UserError where a distance or a target is not finite.
     """
-    return _sample_obstacles(tuple(map(make_stimulus, shapes)))
+    return _sample_obstacles(tuple(map(make_stimulus, stimuli)))
 
 
 @lru_cache(maxsize=16)  # 4 MiB a shape: all that have a name, one by one, and some drawn by hand

@@ -20,6 +20,7 @@ from jaxunshear.models.modality import PINS, Batch
 from jaxunshear.models.registry import InitFacts, get_functions, get_net_modality, predict
 from jaxunshear.models.unshearnet import match_entangled_size
 from jaxunshear.models.weights import Net, Variables
+from jaxunshear.training import tasks
 from jaxunshear.training.augmentation import (
     Rotations,
     find_rotation_sense,
@@ -29,20 +30,11 @@ from jaxunshear.training.augmentation import (
 from jaxunshear.training.checkpoint import load_network
 from jaxunshear.training.examples import measure_pin_spread, read_all_training
 from jaxunshear.training.provenance import check_origin
-from jaxunshear.training.tasks import (
-    PinAugmentation,
-    Supervision,
-    Task,
-    Tree,
-    make_posenet_task,
-    make_renderer_task,
-    make_unshear_task,
-)
 
 
 def make_task(
     experiment: Experiment, network: str, examples: Examples, folder: Path
-) -> tuple[Task, tuple[str, ...]]:
+) -> tuple[tasks.Task, tuple[str, ...]]:
     """Make the task of `network`, and list the fields of a batch that it takes.
 
     Helper networks are loaded from `folder`, the run's. Raises UserError.
@@ -60,21 +52,23 @@ def make_task(
         rest = examples.pins.rest
         facts = InitFacts(rest=rest, spread=measure_pin_spread(examples.reader, field, rest))
     if config.spec.role == "renders":
-        task = make_renderer_task(net, training, targets, facts)
+        task = tasks.make_renderer_task(net, training, targets, facts)
     elif config.spec.role == "reads poses":
         rotations = _make_rotations(examples) if getattr(net, "turned", 0) else None
         render = None
         if "rendered_pose" in training.losses:
             renderer = _load_helper(experiment, RENDERER, folder)
             render = partial(pin_networks.render_pins, *renderer)
-        support = PinAugmentation(rotations, render)
-        task = make_posenet_task(net, training, targets, facts, support)
+        support = tasks.PinAugmentation(rotations, render)
+        task = tasks.make_posenet_task(net, training, targets, facts, support)
     else:
         teacher = None
         if uses_teacher(training):
             teacher = partial(predict, *_load_helper(experiment, TEACHER, folder))
-        supervision = Supervision(targets, _choose_slide_targets(net, training, examples), teacher)
-        task = make_unshear_task(net, training, supervision, facts)
+        supervision = tasks.Supervision(
+            targets, _choose_slide_targets(net, training, examples), teacher
+        )
+        task = tasks.make_unshear_task(net, training, supervision, facts)
         pair_fields = _list_pair_fields(net, training, supervision, source.shares_slides)
         fields = (*pair_fields, *source.pair_fields)
     if modality is PINS:
@@ -98,7 +92,7 @@ def _choose_slide_targets(net: Net, training: Training, examples: Examples) -> T
 
 
 def _list_pair_fields(
-    net: Net, training: Training, supervision: Supervision, shares_slides: bool
+    net: Net, training: Training, supervision: tasks.Supervision, shares_slides: bool
 ) -> tuple[str, ...]:
     """List the fields of a batch that a network that unshears takes, whatever their source."""
     functions = get_functions(net)
@@ -115,11 +109,13 @@ def _list_pair_fields(
     return tuple(dict.fromkeys(fields))
 
 
-def _randomise_pins(task: Task, examples: Examples, share: float) -> Task:
+def _randomise_pins(task: tasks.Task, examples: Examples, share: float) -> tasks.Task:
     """Randomise the pins of a `share` of the batches."""
     randomise = make_randomisation(examples.pins.rest, share)
 
-    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
+    def terms(
+        variables: tasks.Tree, batch: Batch, key: Array
+    ) -> tuple[dict[str, Array], tasks.Tree]:
         return task.terms(variables, randomise(batch, jax.random.fold_in(key, 2)), key)
 
     return dataclasses.replace(task, terms=terms)
