@@ -29,7 +29,14 @@ from jaxunshear.config.networks import PinNet, PinPoseNet, PinRenderer, PinUnshe
 from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import conv
 from jaxunshear.models.reconstruction import Reconstruction, measure_disagreement
-from jaxunshear.models.weights import Net, Variables, check_has_sheared_decoder, has_part
+from jaxunshear.models.weights import (
+    Net,
+    Outputs,
+    Pins,
+    Variables,
+    check_has_sheared_decoder,
+    has_part,
+)
 from jaxunshear.perception.lattice import measure_spacing
 
 GRID_NEIGHBOURS = 30  # pins that the motion at a grid point is interpolated from
@@ -175,9 +182,7 @@ def init(
     return {"params": params, "batch_stats": constants}
 
 
-def unshear(
-    net: PinUnshear, variables: Variables, pins: Float[Array, "B P 2"]
-) -> Float[Array, "B P 2"]:
+def unshear(net: PinUnshear, variables: Variables, pins: Pins) -> Pins:
     """Unshear pins px.
 
     This needs neither the shear code nor DS, which released weights leave out.
@@ -186,7 +191,7 @@ def unshear(
 
 
 def encode(
-    net: PinUnshear, variables: Variables, pins: Float[Array, "B P 2"]
+    net: PinUnshear, variables: Variables, pins: Pins
 ) -> tuple[Float[Array, "B {net.pose_code}"], Float[Array, "B {net.shear_code}"] | None]:
     """Encode pins px as (z_p, z_s); z_s is None without a shear code, as in released weights."""
     if net.shear_code and not has_part(variables, "shear"):
@@ -194,16 +199,14 @@ def encode(
     return _apply(net, variables, "encode", *_make_inputs(net, variables, pins))
 
 
-def decode_canonical(
-    net: PinUnshear, variables: Variables, z_p: Float[Array, "B F"]
-) -> Float[Array, "B P 2"]:
+def decode_canonical(net: PinUnshear, variables: Variables, z_p: Float[Array, "B F"]) -> Pins:
     """Decode the pose code by DC to pins px of the tap."""
     return _convert_to_pins(variables, _apply(net, variables, "decode_canonical", z_p))
 
 
 def decode_sheared(
     net: PinUnshear, variables: Variables, z_p: Float[Array, "B F"], z_s: Float[Array, "B G"]
-) -> Float[Array, "B P 2"]:
+) -> Pins:
     """Decode both codes by DS to pins px of the slide.
 
     Raises UserError for released weights, which leave DS out.
@@ -215,10 +218,10 @@ def decode_sheared(
 def reconstruct(
     net: PinUnshear,
     variables: Variables,
-    pins: Float[Array, "B P 2"],
+    pins: Pins,
     key: Array | None = None,
-    same_pose: Float[Array, "B P 2"] | None = None,
-    same_slide: Float[Array, "B P 2"] | None = None,
+    same_pose: Pins | None = None,
+    same_slide: Pins | None = None,
 ) -> tuple[Reconstruction, Variables]:
     """Run both decoders over sheared pins px; also return the constants.
 
@@ -259,9 +262,7 @@ def reconstruct(
     return outputs, variables["batch_stats"]
 
 
-def predict(
-    net: PinPoseNet, variables: Variables, pins: Float[Array, "B P 2"], radians: ArrayLike = 0.0
-) -> Float[Array, "B K"]:
+def predict(net: PinPoseNet, variables: Variables, pins: Pins, radians: ArrayLike = 0.0) -> Outputs:
     """Predict outputs of pins px, scaled as PoseNet's but not bounded.
 
     `radians` is the angle by which all pins were turned, for networks that learn from turned pins.
@@ -274,20 +275,18 @@ def predict(
 
 
 def predict_training(
-    net: PinPoseNet, variables: Variables, pins: Float[Array, "B P 2"], radians: ArrayLike
-) -> tuple[Float[Array, "B K"], Variables]:
+    net: PinPoseNet, variables: Variables, pins: Pins, radians: ArrayLike
+) -> tuple[Outputs, Variables]:
     """Predict outputs as `predict`; also return the constants."""
     return predict(net, variables, pins, radians), variables["batch_stats"]
 
 
-def render_pins(
-    net: PinRenderer, variables: Variables, outputs: Float[Array, "B K"]
-) -> Float[Array, "B P 2"]:
+def render_pins(net: PinRenderer, variables: Variables, outputs: Outputs) -> Pins:
     """Render the pins px of a tap at poses that are scaled to [0, 1], as PoseNet's outputs are."""
     return _convert_to_pins(variables, _apply_dense(net, variables, 2 * outputs - 1))
 
 
-def add_noise(net: PinNet, pins: Float[Array, "B P 2"], key: Array) -> Float[Array, "B P 2"]:
+def add_noise(net: PinNet, pins: Pins, key: Array) -> Pins:
     """Add the noise of training examples to pins."""
     return pins + net.noise_px * jax.random.normal(key, pins.shape)
 

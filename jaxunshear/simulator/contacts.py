@@ -85,11 +85,6 @@ def _refuse_scenes(bad: np.ndarray, describe: Callable[[int], str]) -> None:
         raise UserError(f"scene {rows[0]}: {describe(rows[0])}")
 
 
-def check_batch(batch: int) -> None:
-    if batch < 1:
-        raise UserError(f"batch = {batch}: solve at least 1 scene at a time")
-
-
 def check_scenes(scenes: Scenes) -> None:
     """Check scenes before they become paths, so that a message names the scene's own field."""
     _refuse_scenes(

@@ -9,7 +9,6 @@
 >>> picture.poses["unsheared"]["edge_mm"], picture.poses["true"]["edge_mm"]
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -282,9 +281,7 @@ def _compute_true_pose(touch: Touch, names: tuple[str, ...]) -> dict[str, float]
     }
 
 
-@lru_cache(maxsize=32)
-def _make_edge_labeler(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
-    return make_edge_labeler(stimulus)
+_make_edge_labeler = lru_cache(maxsize=32)(make_edge_labeler)
 
 
 @lru_cache(maxsize=8)

@@ -68,16 +68,12 @@ def conv_valid(x: Array, w: Array, border: int = 0) -> Array:
     return lax.conv_general_dilated(x, w, (1, 1), "VALID", dimension_numbers=_NHWC)
 
 
-def _forward(x: Array, w: Array, border: int) -> tuple[Array, tuple[Array, Array]]:
-    return conv_valid(x, w, border), (x, w)
-
-
 def _backward(border: int, saved: tuple[Array, Array], dy: Array) -> tuple[Array, Array]:
     x, w = saved
     return _input_gradient(dy, w, border), _kernel_gradient(x, dy, w.shape[0], border)
 
 
-conv_valid.defvjp(_forward, _backward)
+conv_valid.defvjp(lambda x, w, border: (conv_valid(x, w, border), (x, w)), _backward)
 
 
 def _input_gradient(dy: Array, w: Array, border: int) -> Array:
@@ -100,12 +96,6 @@ def _kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
     return lax.platform_dependent(x, dy, cpu=on_cpu, default=_convolve_gradient)
 
 
-def _kernel_gradient_forward(
-    x: Array, dy: Array, k: int, border: int
-) -> tuple[Array, tuple[Array, Array]]:
-    return _kernel_gradient(x, dy, k, border), (x, dy)
-
-
 def _kernel_gradient_backward(
     k: int, border: int, saved: tuple[Array, Array], change: Array
 ) -> tuple[Array, Array]:
@@ -117,7 +107,10 @@ def _kernel_gradient_backward(
     return _input_gradient(dy, change, border), conv_valid(x, change, border)
 
 
-_kernel_gradient.defvjp(_kernel_gradient_forward, _kernel_gradient_backward)
+_kernel_gradient.defvjp(
+    lambda x, dy, k, border: (_kernel_gradient(x, dy, k, border), (x, dy)),
+    _kernel_gradient_backward,
+)
 
 
 def _convolve_gradient(x: Array, dy: Array) -> Array:
