@@ -148,10 +148,7 @@ def _reconstruct_task(
 
 
 def _reconstruct_trajectory(
-    target: _Target,
-    row: int,
-    unshear: Unshear | None,
-    estimators: Mapping[str, ShapeEstimator],
+    target: _Target, row: int, unshear: Unshear | None, estimators: Mapping[str, ShapeEstimator]
 ) -> dict[str, ReconstructedObject]:
     """Reconstruct the object of one trajectory by each estimator, from some of its images.
 

@@ -224,11 +224,7 @@ def _solve_on_lattice(
 
 @partial(jax.jit, static_argnames="solver")
 def _follow_from_force(
-    problem: ContactProblem,
-    path: jax.Array,
-    steps: jax.Array,
-    force: jax.Array,
-    solver: Solver,
+    problem: ContactProblem, path: jax.Array, steps: jax.Array, force: jax.Array, solver: Solver
 ) -> _EndState:
     """Follow a path (T + 1, B, 6) from skins under forces (B, N, d)."""
     skin = make_undeformed_skins(problem.system, path[0])
@@ -250,11 +246,7 @@ def _compute_pins(simulation: Simulation, force_n: np.ndarray) -> np.ndarray:
 
 
 def _needs_more_nodes(
-    simulation: Simulation,
-    paths: Paths,
-    batch: ContactBatch,
-    pose: np.ndarray,
-    force_n: np.ndarray,
+    simulation: Simulation, paths: Paths, batch: ContactBatch, pose: np.ndarray, force_n: np.ndarray
 ) -> np.ndarray:
     """Find the scenes (B,) that need nodes that were left out.
 
@@ -274,11 +266,7 @@ def _needs_more_nodes(
     columns = (3 * batch.nodes[loaded][:, None] + np.arange(3)).ravel()
     moved = force_n[:, loaded].reshape(len(paths), -1) @ dome.w[np.ix_(rows, columns)].T
     gap = compute_gaps(
-        simulation,
-        dome.nodes[beside],
-        paths.stimulus,
-        pose,
-        moved.reshape(len(paths), -1, 3),
+        simulation, dome.nodes[beside], paths.stimulus, pose, moved.reshape(len(paths), -1, 3)
     )
     return beyond | (np.min(gap, axis=1) < -PENETRATION_MM)
 

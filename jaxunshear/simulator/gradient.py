@@ -32,11 +32,7 @@ from jaxunshear.simulator.contacts import check_paths
 from jaxunshear.simulator.implicit import GOAL_MM, compute_pin_state
 from jaxunshear.simulator.level import Level, get_level
 from jaxunshear.simulator.paths import TURNS, Paths, cut_increments
-from jaxunshear.simulator.scheduler import (
-    Simulation,
-    Stimuli,
-    find_reachable_nodes,
-)
+from jaxunshear.simulator.scheduler import Simulation, Stimuli, find_reachable_nodes
 from jaxunshear.simulator.stimuli import Obstacles
 
 SWITCH_MM = 1e-6  # nearer to a switch than this, rounding decides on which side a node is found

@@ -70,10 +70,7 @@ class _PathState(NamedTuple):
 
 
 def compute_pin_state(
-    problem: ContactProblem,
-    to_pins: Float[Array, "N3 P3"],
-    path: Float[Array, "T B 6"],
-    skin: Skin,
+    problem: ContactProblem, to_pins: Float[Array, "N3 P3"], path: Float[Array, "T B 6"], skin: Skin
 ) -> PinState:
     """Compute where the pins are after B skins followed `path`.
 

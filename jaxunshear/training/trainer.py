@@ -38,13 +38,7 @@ from jaxunshear.training import checkpoint
 from jaxunshear.training.devices import Devices, get_devices, prefetch
 from jaxunshear.training.monitor import check_state, check_terms, make_measurement, open_events
 from jaxunshear.training.provenance import InitialWeights, replace_weights
-from jaxunshear.training.step import (
-    State,
-    init_state,
-    make_optimiser,
-    make_schedule,
-    make_step,
-)
+from jaxunshear.training.step import State, init_state, make_optimiser, make_schedule, make_step
 from jaxunshear.training.tasks import Batch, Task, Tree
 
 RESUME_REMEDY = "delete it to go on from the latest checkpoint"
