@@ -13,8 +13,7 @@ from functools import partial
 import numpy as np
 
 from jaxunshear.allocator import keep_freed_memory
-from jaxunshear.apps.explore.explorer import Explorer, make_explorer
-from jaxunshear.apps.explore.touch import MOST_SLIDE_MM, Touch
+from jaxunshear.apps.explore.explorer import MOST_SLIDE_MM, Explorer, Touch, make_explorer
 from jaxunshear.config.data import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json

@@ -29,7 +29,7 @@ from jaxunshear.files import Json
 from jaxunshear.models.registry import InitFacts
 from jaxunshear.progress import Progress
 from jaxunshear.text_table import format_text_table
-from jaxunshear.training.prefetch import prefetch
+from jaxunshear.training.devices import prefetch
 from jaxunshear.training.tasks import Task, make_unshear_task
 from verification.clock import time_call
 

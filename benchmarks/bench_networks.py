@@ -29,14 +29,13 @@ from jaxunshear.config.types import check_rules
 from jaxunshear.environment import FAST, PLAIN
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
-from jaxunshear.inference.forward import UNSHEARED, make_forward
+from jaxunshear.inference.forward import UNSHEARED, jit_for_inference, make_forward
 from jaxunshear.models import posenet, unshearnet
 from jaxunshear.models.fast import compiled_kernels
-from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.layer_choice import use_layers
 from jaxunshear.progress import Progress
+from jaxunshear.training.checkpoint import TrainedNetwork
 from jaxunshear.training.tasks import make_unshear_task
-from jaxunshear.training.trained_network import TrainedNetwork
 from verification.clock import SIZE, make_matrix_product, time_call
 
 TRAIN_CASES = ((256, 8), (128, 32))  # size in px, batch
@@ -194,8 +193,12 @@ def _make_stream_sides(size: int, batch: int) -> Sides:
     image = make_noise_images(batch, size)[1, 0, ..., 0]
 
     def ours() -> Work:
-        forward = make_forward({DISENTANGLED: net, POSENET: pose_net}, {POSENET: TARGETS})
-        run = jit_for_inference(forward, _init_stream_variables(net, pose_net))
+        variables = _init_stream_variables(net, pose_net)
+        networks = {
+            DISENTANGLED: TrainedNetwork(net, variables[DISENTANGLED], ()),
+            POSENET: TrainedNetwork(pose_net, variables[POSENET], TARGETS),
+        }
+        run = jit_for_inference(make_forward(networks), variables)
         return lambda: jax.device_get(run(image[None])) is None
 
     yield "jaxunshear", ours

@@ -23,7 +23,7 @@ from jaxunshear.files import Json
 from jaxunshear.progress import Progress
 from jaxunshear.simulator import simulate as simulator
 from jaxunshear.simulator import systems
-from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.contacts import Contacts
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.level import LEVELS, Level
 from jaxunshear.simulator.scene import Scenes

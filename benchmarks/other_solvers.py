@@ -1,6 +1,6 @@
 """Other solvers of an increment, to be measured beside the simulator's own ADMM.
 
-All are an `admm.Method`, for contacts without tilt, and stop on the same kind of length:
+All are an `friction.Method`, for contacts without tilt, and stop on the same kind of length:
 
 - `projected_gradient`, and `accelerated` (Nesterov 1983, restarted as by O'Donoghue & Candes 2015)
 - `solve_anderson`: the simulator's ADMM, as a fixed point of one variable, extrapolated from its
@@ -14,14 +14,14 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from jaxunshear.simulator.admm import (
+from jaxunshear.simulator.contact_problem import RHO, Increment, project
+from jaxunshear.simulator.friction import (
     BETWEEN_CHECKS,
     OVER_RELAXATION,
     Method,
     SolverResult,
     SolverStart,
 )
-from jaxunshear.simulator.increment import RHO, Increment, project
 
 State = TypeVar("State")
 _Walk = tuple[

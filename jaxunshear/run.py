@@ -167,9 +167,15 @@ def _train(run: _Run, network: str) -> bool:
             )
         check_origin(experiment, network, run.folder)
         return False
-    from jaxunshear.training.examples import FRAME, open_examples
-    from jaxunshear.training.few_pairs import add_single_contacts, select_few_pairs
-    from jaxunshear.training.task_factory import make_task, rename_inputs, take_first
+    from jaxunshear.training.examples import (
+        FRAME,
+        add_single_contacts,
+        open_examples,
+        rename_inputs,
+        select_few_pairs,
+        take_first,
+    )
+    from jaxunshear.training.task_factory import make_task
     from jaxunshear.training.trainer import Provenance, TrainingData, train
 
     source, config = open_source(experiment), resolve_network(experiment, network)
@@ -189,11 +195,12 @@ def _train(run: _Run, network: str) -> bool:
         take_first(examples.reader.split, training.validation_images, fields),
         examples.per_epoch,
     )
-    provenance = Provenance(
-        source.describe_origin(config),
-        list_training_digests(experiment, network, begin),
-        InitialWeights(load_best(begin), compute_weights_digest(begin)) if begin else None,
-    )
+    initial = None
+    if begin:
+        weights = load_best(begin)
+        initial = InitialWeights(weights, compute_weights_digest(weights))
+    digests = list_training_digests(experiment, network, begin)
+    provenance = Provenance(source.describe_origin(config), digests, initial)
     summary = train(task, training, training_data, seed, folder, provenance)
     loss = "unknown" if summary.best_loss is None else f"{summary.best_loss:.5f}"
     print(

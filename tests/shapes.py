@@ -22,7 +22,7 @@ CHECKED += (
     "perception.lattice",
     "perception.preprocess",
 )
-CHECKED += ("training.rotation", "training.domain_randomisation")
+CHECKED += ("training.augmentation",)
 MODULES = [f"jaxunshear.{name}" for name in CHECKED]
 MODULES += ["verification.hyperelastic", "verification.large_strain"]
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.config.sensor import TACTIP_331, Sensor
-from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.contacts import Contacts
 from jaxunshear.simulator.level import Level
 from jaxunshear.simulator.paths import Paths
 from jaxunshear.simulator.shapes import make_disk, make_stroke

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED, Sensor
-from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.contacts import Contacts
 from jaxunshear.simulator.level import Level, get_level
 from jaxunshear.simulator.paths import Paths
 from jaxunshear.simulator.simulate import follow

@@ -5,20 +5,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.simulator.admm import Solver
 from jaxunshear.simulator.contact_problem import (
+    RHO,
     ContactProblem,
     System,
     count_node_states,
     make_undeformed_skins,
 )
-from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.contacts import Contacts
 from jaxunshear.simulator.dome import load_shared_dome
-from jaxunshear.simulator.friction import follow_path
-from jaxunshear.simulator.increment import RHO
+from jaxunshear.simulator.friction import Solver, follow_path
 from jaxunshear.simulator.level import Level
-from jaxunshear.simulator.obstacle import sample_obstacles
 from jaxunshear.simulator.paths import Paths, cut_increments
+from jaxunshear.simulator.stimuli import sample_obstacles
 
 
 def solve_with_duplicates(

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.contacts import Contacts
 from jaxunshear.simulator.harmonics import make_sixfold_permutations
 from jaxunshear.simulator.level import LEVELS, Level
 from jaxunshear.simulator.paths import DEPTH, TILT_X, YAW, Paths

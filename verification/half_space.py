@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.simulator.admm import Solver
 from jaxunshear.simulator.contact_problem import (
+    RHO,
     ContactProblem,
     Skin,
     System,
@@ -31,10 +31,9 @@ from jaxunshear.simulator.elasticity import (
     compute_response,
     sum_harmonics,
 )
-from jaxunshear.simulator.friction import advance_increment, make_increment
-from jaxunshear.simulator.increment import RHO
+from jaxunshear.simulator.friction import Solver, advance_increment, make_increment
 from jaxunshear.simulator.mesh import Mesh, QuarterDisk, find_edges
-from jaxunshear.simulator.obstacle import Obstacles
+from jaxunshear.simulator.stimuli import Obstacles
 from jaxunshear.simulator.systems import ScaledSystem
 
 SPACING_MM = 0.1  # of the rings of contact nodes, and of the mesh below them

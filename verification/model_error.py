@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.progress import Progress
-from jaxunshear.simulator.contact_results import Contacts, Skins
+from jaxunshear.simulator.contacts import Contacts, Skins
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.paths import make_paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips

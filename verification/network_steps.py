@@ -24,7 +24,7 @@ from jaxunshear.models import posenet, unshearnet
 from jaxunshear.models.registry import unshear
 from jaxunshear.models.weights import Variables
 from jaxunshear.training import checkpoint
-from jaxunshear.training.finite_check import check_state, check_terms
+from jaxunshear.training.monitor import check_state, check_terms
 from jaxunshear.training.step import State, make_optimiser, make_step
 from jaxunshear.training.tasks import Task, make_posenet_task, make_unshear_task
 from jaxunshear.training.trainer import make_first_state

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from jaxunshear.config.sensor import TACTIP_331, Sensor
-from jaxunshear.simulator.contact_results import Contacts, Skins
+from jaxunshear.simulator.contacts import Contacts, Skins
 from jaxunshear.simulator.level import Level
 from jaxunshear.simulator.paths import Paths
 from jaxunshear.simulator.scene import Scenes

@@ -20,7 +20,7 @@ import numpy as np
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.progress import Progress
-from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.contacts import Contacts
 from jaxunshear.simulator.level import LEVELS
 from jaxunshear.text_table import format_text_table
 from verification import stability_networks

@@ -9,15 +9,17 @@ import numpy as np
 
 from jaxunshear.data import simulation
 from jaxunshear.data.chunks import unpack_bits
-from jaxunshear.data.simulation import SimulatedContacts, simulate_contacts
+from jaxunshear.data.simulated_contacts import simulate_contacts
 from jaxunshear.downstream.contour import Contour, trace_contour
 from jaxunshear.downstream.geometry import measure_tap_motions
 from jaxunshear.downstream.reconstruct import (
     CELL_MM,
     HeightMap,
+    ShapeEstimator,
     ShapeScore,
     compute_skin_positions,
     fuse_heights,
+    make_shape_estimators,
     score_shape,
     transform_to_target,
 )
@@ -28,7 +30,6 @@ from jaxunshear.downstream.servo import (
     Trajectories,
     compute_servo_digest,
 )
-from jaxunshear.downstream.shape_estimators import ShapeEstimator, make_shape_estimators
 from jaxunshear.errors import UserError
 from jaxunshear.inference.edge_methods import (
     Unshear,
@@ -102,8 +103,16 @@ def reconstruct(
 
     @cache
     def make_estimators(depth_mm: float) -> dict[str, ShapeEstimator]:
-        taps = simulate_contacts(model.experiment, simulation.SCALE_TAPS, 1, depth_mm)
-        return _make_estimators(model, taps)
+        taps = simulate_contacts(model.experiment, simulated_contacts.SCALE_TAPS, 1, depth_mm)
+        xy = transform_to_target(taps.pose[:, :3], compute_skin_positions(model.sensor))
+        distance = np.zeros(xy.shape[:2])
+        for index, stimulus in enumerate(paired.stimuli):
+            rows = taps.stimulus == index
+            distance[rows] = compute_distances(make_stimulus(stimulus), xy[rows])
+        motion = measure_tap_motions(model.lattice, taps)
+        return make_shape_estimators(
+            model.sensor, model.lattice, motion, taps.indentation_mm, distance
+        )
 
     def reconstruct_task(task: ServoTask, trajectories: Trajectories) -> ReconstructionResult:
         contour = trace_contour(make_stimulus(task.stimulus))
@@ -111,17 +120,6 @@ def reconstruct(
         return _reconstruct_task(target, networks, make_estimators(task.depth_mm))
 
     return (reconstruct_task(*each) for each in trajectories)
-
-
-def _make_estimators(model: TrainedModel, taps: SimulatedContacts) -> dict[str, ShapeEstimator]:
-    paired = model.require_simulation("reconstruct")
-    xy = transform_to_target(taps.pose[:, :3], compute_skin_positions(model.sensor))
-    distance = np.zeros(xy.shape[:2])
-    for index, stimulus in enumerate(paired.stimuli):
-        rows = taps.stimulus == index
-        distance[rows] = compute_distances(make_stimulus(stimulus), xy[rows])
-    motion = measure_tap_motions(model.lattice, taps)
-    return make_shape_estimators(model.sensor, model.lattice, motion, taps.indentation_mm, distance)
 
 
 def _reconstruct_task(
@@ -150,10 +148,7 @@ def _reconstruct_task(
 
 
 def _reconstruct_trajectory(
-    target: _Target,
-    row: int,
-    unshear: Unshear | None,
-    estimators: Mapping[str, ShapeEstimator],
+    target: _Target, row: int, unshear: Unshear | None, estimators: Mapping[str, ShapeEstimator]
 ) -> dict[str, ReconstructedObject]:
     """Reconstruct the object of one trajectory by each estimator, from some of its images.
 

@@ -25,15 +25,21 @@ from jaxunshear.angles import rotate_2d
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.stimuli import Outline, StimulusSetting
-from jaxunshear.data.chunks import pack_bits
-from jaxunshear.data.simulation import RENDER_BATCH, render_images
-from jaxunshear.downstream.contour import Contour, trace_contour, update_arc_positions
-from jaxunshear.downstream.controller import Command, ControllerGains, ControllerState, control
+from jaxunshear.data.chunks import RENDER_BATCH, pack_bits, render_images
+from jaxunshear.downstream.contour import (
+    Command,
+    Contour,
+    ControllerGains,
+    ControllerState,
+    control,
+    trace_contour,
+    update_arc_positions,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, read_npz, write_npz
 from jaxunshear.inference.edge_methods import EdgeEstimator
 from jaxunshear.progress import Progress
-from jaxunshear.simulator.contact_results import Contacts, Skins
+from jaxunshear.simulator.contacts import Contacts, Skins
 from jaxunshear.simulator.paths import Paths
 from jaxunshear.simulator.scene import make_edge_labeler
 from jaxunshear.simulator.simulate import follow
@@ -227,9 +233,9 @@ def _take_step(loop: _Loop, trajectories: Trajectories) -> None:
     trajectories.steps += 1
     walking = rows[ends[rows] == WALKING]
     if trajectories.steps < trajectories.point.shape[1]:
-        trajectories.point[walking, step + 1] = _apply_motion(
-            point[walking], np.asarray(move)[walking], np.asarray(turn)[walking]
-        )
+        moved = rotate_2d(np.asarray(move)[walking], np.radians(point[walking, 2]))
+        motion = np.column_stack([moved, np.asarray(turn)[walking]])
+        trajectories.point[walking, step + 1] = point[walking] + motion
 
 
 def _simulate_step(
@@ -302,10 +308,6 @@ def _perceive(
             edge = np.stack(estimate_edge(images[batch]), -1)
         trajectories.perceive_s[batch] += (time.perf_counter() - start) / len(batch)
         trajectories.perceived[batch, step] = np.where(walking[batch, None], edge, np.nan)
-
-
-def _apply_motion(point: np.ndarray, move: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    return point + np.column_stack([rotate_2d(move, np.radians(point[:, 2])), turn])
 
 
 def load_trajectories(file: Path) -> tuple[ServoTask, Trajectories]:

@@ -32,8 +32,8 @@ from jaxunshear.progress import Progress
 from jaxunshear.results.provenance import describe_provenance, read_training_facts
 from jaxunshear.text_table import format_text_table
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
-from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import open_examples
+from jaxunshear.training.provenance import check_origin
 
 # Codes of DC, or of DS' pose and shear slots: z_p, z_s; 0: blank; *: of another image
 SWAP_CELLS: dict[str, tuple[str, ...]] = {

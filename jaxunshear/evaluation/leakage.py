@@ -34,6 +34,7 @@ from jaxunshear.selection import select_evenly
 from jaxunshear.text_table import format_text_table
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import open_examples
+from jaxunshear.training.provenance import check_origin
 
 MIN_CEILING = 0.1  # R2 from the input: below it the input does not show a quantity
 SEED = 0

@@ -4,43 +4,34 @@
 >>> estimators = make_edge_estimators(model, ("sheared", "disentangled"))
 >>> edge_mm, edge_deg = estimators["disentangled"](images)   # (B, S, S) uint8 of {0, 255} -> (B,)
 
-Each method loads its own networks only. Methods have the same names whether a run's networks take
-images or pins; pins are first detected and tracked in the image.
+A method loads its own networks only, each once for all methods. Methods have the same names whether
+a run's networks take images or pins; pins are first detected and tracked in the image.
 """
 
 from collections.abc import Callable, Iterable
-from functools import partial
+from functools import cache, partial
 
 import jax
 import numpy as np
 from jax import Array
 
-from jaxunshear.config.registry import (
-    DISENTANGLED,
-    ENTANGLED,
-    ENTANGLED_LARGE,
-    POSENET,
-    POSENET_SHEARED,
-    UNET,
-    UNSHEARING,
-)
+from jaxunshear.config import registry
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.errors import UserError
-from jaxunshear.inference.forward import make_forward, scale_inputs
+from jaxunshear.inference.forward import jit_for_inference, make_forward, scale_inputs
 from jaxunshear.inference.trained_model import TrainedModel
-from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.registry import unshear
 from jaxunshear.models.weights import Variables
 from jaxunshear.training.checkpoint import compute_weights_digest
 
 TRUE_POSE = "true"  # the pose that the simulator knows
 METHODS = {  # name: the networks it runs, in this order
-    "sheared": (POSENET,),
-    ENTANGLED: (ENTANGLED, POSENET),
-    DISENTANGLED: (DISENTANGLED, POSENET),
-    ENTANGLED_LARGE: (ENTANGLED_LARGE, POSENET),
-    UNET: (UNET, POSENET),
-    "learnt": (POSENET_SHEARED,),
+    "sheared": (registry.POSENET,),
+    registry.ENTANGLED: (registry.ENTANGLED, registry.POSENET),
+    registry.DISENTANGLED: (registry.DISENTANGLED, registry.POSENET),
+    registry.ENTANGLED_LARGE: (registry.ENTANGLED_LARGE, registry.POSENET),
+    registry.UNET: (registry.UNET, registry.POSENET),
+    "learnt": (registry.POSENET_SHEARED,),
 }
 EDGE_TARGETS = ("edge_mm", "edge_deg")
 # images (B, S, S) uint8 of {0, 255} -> the edge's mm and deg, (B,) each; NaN if the networks need
@@ -62,15 +53,12 @@ def compute_network_digests(model: TrainedModel, methods: Iterable[str]) -> dict
 
     Raises `UserError` if a network is missing.
     """
-    digests: dict[str, str] = {}
-    by_method = {}
-    for method in methods:
-        networks = METHODS.get(method, ())
-        for name in networks:
-            if name not in digests:
-                digests[name] = compute_weights_digest(model.folder / name)
-        by_method[method] = " ".join(digests[name] for name in networks)
-    return by_method
+
+    @cache
+    def compute_digest(name: str) -> str:
+        return compute_weights_digest(model.load_network(name).variables)
+
+    return {method: " ".join(map(compute_digest, METHODS.get(method, ()))) for method in methods}
 
 
 def make_edge_estimators(
@@ -92,15 +80,12 @@ def make_edge_estimators(
 
 def _make_edge_estimator(model: TrainedModel, method: str) -> EdgeEstimator:
     networks = {name: model.load_network(name) for name in METHODS[method]}
-    nets = {name: network.net for name, network in networks.items()}
-    targets = {name: network.targets for name, network in networks.items()}
-    names = list_target_names(targets[METHODS[method][-1]])
+    names = list_target_names(networks[METHODS[method][-1]].targets)
     if not set(EDGE_TARGETS) <= set(names):
         raise UserError(
             f"{model.folder} reads {', '.join(names)}: an edge is followed by edge_mm and edge_deg"
         )
-    forward = make_forward(nets, targets)
-    reader = model.simulated_reader
+    forward, reader = make_forward(networks), model.simulated_reader
 
     def predict_edge(variables: Variables, inputs: Array) -> tuple[Array, Array]:
         _, pose = forward(variables, inputs)
@@ -123,7 +108,7 @@ def find_unshearing_network(method: str) -> str:
 
     There may be no network of the name.
     """
-    return DISENTANGLED if method == TRUE_POSE else method
+    return registry.DISENTANGLED if method == TRUE_POSE else method
 
 
 def load_unshearers(model: TrainedModel) -> dict[str, Unshear]:
@@ -131,13 +116,13 @@ def load_unshearers(model: TrainedModel) -> dict[str, Unshear]:
 
     Pins are detected in the unsheared images, unless the networks give pins. Raises `UserError`.
     """
-    names = [name for name in UNSHEARING if name in model.networks]
-    return {name: _make_unshearer(model, name) for name in names}
+    measure = partial(model.simulated_reader.measure_unsheared_motions, model.lattice)
 
+    def load_unshearer(name: str) -> Unshear:
+        net, variables, _ = model.load_network(name)
+        run = jit_for_inference(
+            lambda variables, inputs: unshear(net, variables, scale_inputs(inputs)), variables
+        )
+        return partial(measure, run)
 
-def _make_unshearer(model: TrainedModel, name: str) -> Unshear:
-    net, variables, _ = model.load_network(name)
-    run = jit_for_inference(
-        lambda variables, inputs: unshear(net, variables, scale_inputs(inputs)), variables
-    )
-    return partial(model.simulated_reader.measure_unsheared_motions, model.lattice, run)
+    return {name: load_unshearer(name) for name in registry.UNSHEARING if name in model.networks}

@@ -10,7 +10,7 @@
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -39,6 +39,7 @@ from jaxunshear.files import read_object
 from jaxunshear.inference.forward import (
     BATCH,
     compute_confidence,
+    jit_for_inference,
     make_full_forward,
     run_in_batches,
     scale_inputs,
@@ -55,7 +56,6 @@ from jaxunshear.inference.readers import (
     make_pin_reader,
 )
 from jaxunshear.model_folders import find_model_folder, load_settings
-from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.posenet import unscale_outputs
 from jaxunshear.models.registry import encode
 from jaxunshear.models.weights import Tree
@@ -63,9 +63,8 @@ from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import SensorAppearance, measure_sensor_appearance
-from jaxunshear.training.checkpoint import has_model, read_slides
+from jaxunshear.training.checkpoint import TrainedNetwork, has_model, load_network, read_slides
 from jaxunshear.training.examples import FRAME
-from jaxunshear.training.trained_network import TrainedNetwork, load_network
 
 PREFERRED_POSENETS = (POSENET, POSENET_SHEARED)
 
@@ -87,6 +86,7 @@ class TrainedModel:
     frame: SensorFrame | None = None
     force: bool = False  # use images that are not of the model's sensor
     with_sheared_poses: bool = True  # `predict` poses of the images as they are, too
+    _loaded: dict[str, TrainedNetwork] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def sensor(self) -> Sensor:
@@ -114,16 +114,17 @@ class TrainedModel:
         return tuple(name for name in ALL_NETWORKS if has_model(self.folder / name))
 
     def load_network(self, name: str) -> TrainedNetwork:
-        return load_network(self.folder / name)
+        """Load a network, once. Raises UserError."""
+        if name not in self._loaded:
+            self._loaded[name] = load_network(self.folder / name)
+        return self._loaded[name]
 
     @cached_property
     def _main_networks(self) -> dict[str, TrainedNetwork]:
         # a PoseNet of simulated slides is for comparisons alone
-        names = (
-            DISENTANGLED,
-            *(PREFERRED_POSENETS if self.source.predicts_directly else PREFERRED_POSENETS[:1]),
-        )
-        networks = {name: self.load_network(name) for name in names if name in self.networks}
+        posenets = PREFERRED_POSENETS if self.source.predicts_directly else (POSENET,)
+        names = [name for name in (DISENTANGLED, *posenets) if name in self.networks]
+        networks = {name: self.load_network(name) for name in names}
         if not networks:
             raise UserError(
                 f"{self.folder} holds no trained network that unshears or reads poses: "

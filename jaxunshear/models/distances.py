@@ -10,19 +10,15 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxunshear.models.weights import Variables
+from jaxunshear.models.weights import Images, Outputs, PerExample, Pins, Variables
 
 
-def compute_supervised_loss(
-    canonical: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]
-) -> Float[Array, "B"]:
+def compute_supervised_loss(canonical: Images, target: Images) -> PerExample:
     """Compute the mean squared difference of images in [0, 1], for L_sup and L_rec."""
     return jnp.mean((canonical - target) ** 2, (1, 2, 3))
 
 
-def compute_pin_distance(
-    pins: Float[Array, "B P 2"], target: Float[Array, "B P 2"], variables: Variables
-) -> Float[Array, "B"]:
+def compute_pin_distance(pins: Pins, target: Pins, variables: Variables) -> PerExample:
     """Compute the mean squared distance of pins in units of `spread`; missing ones do not count."""
     is_present = jnp.isfinite(target)
     difference = pins - jnp.where(is_present, target, 0)
@@ -31,10 +27,8 @@ def compute_pin_distance(
 
 
 def compute_patch_loss(
-    canonical: Float[Array, "B S S 1"],
-    target: Float[Array, "B S S 1"],
-    counts: Float[Array, "B S S"],
-) -> Float[Array, "B"]:
+    canonical: Images, target: Images, counts: Float[Array, "B S S"]
+) -> PerExample:
     """Compute L_patch, the mean absolute difference over all pixels of all crops.
 
     `counts` are the numbers of crops that cover each pixel.
@@ -66,16 +60,14 @@ def sample_corners(
     return jax.random.randint(key, (images, crops, 2), 0, size - side + 1)
 
 
-def compute_pose_loss(
-    outputs: Float[Array, "B K"], targets: Float[Array, "B K"], weights: tuple[float, ...]
-) -> Float[Array, "B"]:
+def compute_pose_loss(outputs: Outputs, targets: Outputs, weights: tuple[float, ...]) -> PerExample:
     """Compute PoseNet's L2 loss, the weighted mean squared difference of outputs and targets."""
     return jnp.mean(jnp.asarray([weights], outputs.dtype) * (outputs - targets) ** 2, -1)
 
 
 def compute_absolute_pose_loss(
-    outputs: Float[Array, "B K"], targets: Float[Array, "B K"], weights: tuple[float, ...]
-) -> Float[Array, "B"]:
+    outputs: Outputs, targets: Outputs, weights: tuple[float, ...]
+) -> PerExample:
     """Compute the weighted mean absolute difference, the loss of a PoseNet over pins.
 
     A few outliers have less influence on it than on the squared one.
@@ -83,7 +75,7 @@ def compute_absolute_pose_loss(
     return jnp.mean(jnp.asarray([weights], outputs.dtype) * jnp.abs(outputs - targets), -1)
 
 
-def compute_slide_loss(z_s: Float[Array, "B G"], target: Float[Array, "B K"]) -> Float[Array, "B"]:
+def compute_slide_loss(z_s: Float[Array, "B G"], target: Outputs) -> PerExample:
     """Compute the mean squared difference of the first numbers of z_s and the slide.
 
     The slide is scaled to [-1, 1] over its range. Where it is unknown, NaN, it does not count.

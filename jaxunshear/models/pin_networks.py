@@ -7,9 +7,11 @@
 
 These networks are ours; the paper's take images. A missing pin is NaN, and counts as one that has
 not moved. `rest` and `spread` scale inputs and outputs. They are constants that the variables
-carry, as is the grid of `pin_grid`.
+carry, as is the square grid on which the motions of pins are interpolated for convolutions:
+neighbouring pins move alike, which dense layers have to learn.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -17,14 +19,74 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jax.typing import ArrayLike
 from jaxtyping import Float
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial import cKDTree
 
 from jaxunshear.config.networks import PinNet, PinPoseNet, PinRenderer, PinUnshear
-from jaxunshear.models.pin_grid import GridTrunk, make_grid
+from jaxunshear.models import layer_choice
+from jaxunshear.models.fast import conv
 from jaxunshear.models.reconstruction import Reconstruction, measure_disagreement
-from jaxunshear.models.weights import Net, Variables, check_has_sheared_decoder, has_part
+from jaxunshear.models.weights import (
+    Net,
+    Outputs,
+    Pins,
+    Variables,
+    check_has_sheared_decoder,
+    has_part,
+)
+from jaxunshear.perception.lattice import measure_spacing
+
+GRID_NEIGHBOURS = 30  # pins that the motion at a grid point is interpolated from
+MAX_GRID_DISTANCE = 1.2  # pin spacings from the nearest pin to a grid point that has a motion
+PLAIN_CONVOLUTION: Callable[..., Array] = lax.conv_general_dilated
+FAST_CONVOLUTION: Callable[..., Array] = conv.convolve
+
+
+def make_grid(rest: Float[ArrayLike, "P 2"]) -> Float[np.ndarray, "P G"]:
+    """Make the grid of pins that rest at `rest` px: G points in rows, in the spacing of the pins.
+
+    Motions at these points are interpolated by linear splines.
+    """
+    pins = np.asarray(rest, np.float64)
+    low, high = pins.min(axis=0), pins.max(axis=0)
+    spacing = measure_spacing(pins)
+    side = max(2, round(float(np.max(high - low)) / spacing))
+    columns, rows = np.meshgrid(*np.linspace(low, high, side).T)
+    points = np.stack([columns.ravel(), rows.ravel()], axis=-1)
+    spline = RBFInterpolator(
+        pins, np.eye(len(pins)), neighbors=min(GRID_NEIGHBOURS, len(pins)), kernel="linear"
+    )
+    is_inside = cKDTree(pins).query(points)[0] < MAX_GRID_DISTANCE * spacing
+    return np.where(is_inside[:, None], spline(points), 0).T.astype(np.float32)
+
+
+class GridTrunk(nn.Module):
+    """Convolutions over the grid, each normalised over its channels, then a dense layer.
+
+    The second and later convolutions halve the side.
+    """
+
+    net: PinNet
+
+    @nn.compact
+    def __call__(self, motions: Array, grid: Array) -> Array:
+        count, side, he = len(motions), math.isqrt(grid.shape[1]), nn.initializers.he_normal()
+        grid_motions = jnp.einsum("bpi,pg->bgi", motions.reshape(count, -1, 2), grid)
+        is_inside = jnp.any(grid != 0, axis=0).astype(grid_motions.dtype)
+        is_inside = jnp.broadcast_to(is_inside[None, :, None], (count, len(is_inside), 1))
+        x = jnp.concatenate([grid_motions, is_inside], -1).reshape(count, side, side, 3)
+        convolution = layer_choice.pick_layer(PLAIN_CONVOLUTION, FAST_CONVOLUTION)
+        for number, channels in enumerate(self.net.convolved):
+            stride = 2 if number else 1
+            layer = nn.Conv(
+                channels, (3, 3), stride, kernel_init=he, conv_general_dilated=convolution
+            )
+            x = nn.gelu(nn.LayerNorm()(layer(x)))
+        dense = nn.Dense(self.net.hidden, kernel_init=he)
+        return nn.gelu(nn.LayerNorm()(dense(x.reshape(count, -1))))
 
 
 class Trunk(nn.Module):
@@ -120,9 +182,7 @@ def init(
     return {"params": params, "batch_stats": constants}
 
 
-def unshear(
-    net: PinUnshear, variables: Variables, pins: Float[Array, "B P 2"]
-) -> Float[Array, "B P 2"]:
+def unshear(net: PinUnshear, variables: Variables, pins: Pins) -> Pins:
     """Unshear pins px.
 
     This needs neither the shear code nor DS, which released weights leave out.
@@ -131,7 +191,7 @@ def unshear(
 
 
 def encode(
-    net: PinUnshear, variables: Variables, pins: Float[Array, "B P 2"]
+    net: PinUnshear, variables: Variables, pins: Pins
 ) -> tuple[Float[Array, "B {net.pose_code}"], Float[Array, "B {net.shear_code}"] | None]:
     """Encode pins px as (z_p, z_s); z_s is None without a shear code, as in released weights."""
     if net.shear_code and not has_part(variables, "shear"):
@@ -139,16 +199,14 @@ def encode(
     return _apply(net, variables, "encode", *_make_inputs(net, variables, pins))
 
 
-def decode_canonical(
-    net: PinUnshear, variables: Variables, z_p: Float[Array, "B F"]
-) -> Float[Array, "B P 2"]:
+def decode_canonical(net: PinUnshear, variables: Variables, z_p: Float[Array, "B F"]) -> Pins:
     """Decode the pose code by DC to pins px of the tap."""
     return _convert_to_pins(variables, _apply(net, variables, "decode_canonical", z_p))
 
 
 def decode_sheared(
     net: PinUnshear, variables: Variables, z_p: Float[Array, "B F"], z_s: Float[Array, "B G"]
-) -> Float[Array, "B P 2"]:
+) -> Pins:
     """Decode both codes by DS to pins px of the slide.
 
     Raises UserError for released weights, which leave DS out.
@@ -160,10 +218,10 @@ def decode_sheared(
 def reconstruct(
     net: PinUnshear,
     variables: Variables,
-    pins: Float[Array, "B P 2"],
+    pins: Pins,
     key: Array | None = None,
-    same_pose: Float[Array, "B P 2"] | None = None,
-    same_slide: Float[Array, "B P 2"] | None = None,
+    same_pose: Pins | None = None,
+    same_slide: Pins | None = None,
 ) -> tuple[Reconstruction, Variables]:
     """Run both decoders over sheared pins px; also return the constants.
 
@@ -204,9 +262,7 @@ def reconstruct(
     return outputs, variables["batch_stats"]
 
 
-def predict(
-    net: PinPoseNet, variables: Variables, pins: Float[Array, "B P 2"], radians: ArrayLike = 0.0
-) -> Float[Array, "B K"]:
+def predict(net: PinPoseNet, variables: Variables, pins: Pins, radians: ArrayLike = 0.0) -> Outputs:
     """Predict outputs of pins px, scaled as PoseNet's but not bounded.
 
     `radians` is the angle by which all pins were turned, for networks that learn from turned pins.
@@ -219,20 +275,18 @@ def predict(
 
 
 def predict_training(
-    net: PinPoseNet, variables: Variables, pins: Float[Array, "B P 2"], radians: ArrayLike
-) -> tuple[Float[Array, "B K"], Variables]:
+    net: PinPoseNet, variables: Variables, pins: Pins, radians: ArrayLike
+) -> tuple[Outputs, Variables]:
     """Predict outputs as `predict`; also return the constants."""
     return predict(net, variables, pins, radians), variables["batch_stats"]
 
 
-def render_pins(
-    net: PinRenderer, variables: Variables, outputs: Float[Array, "B K"]
-) -> Float[Array, "B P 2"]:
+def render_pins(net: PinRenderer, variables: Variables, outputs: Outputs) -> Pins:
     """Render the pins px of a tap at poses that are scaled to [0, 1], as PoseNet's outputs are."""
     return _convert_to_pins(variables, _apply_dense(net, variables, 2 * outputs - 1))
 
 
-def add_noise(net: PinNet, pins: Float[Array, "B P 2"], key: Array) -> Float[Array, "B P 2"]:
+def add_noise(net: PinNet, pins: Pins, key: Array) -> Pins:
     """Add the noise of training examples to pins."""
     return pins + net.noise_px * jax.random.normal(key, pins.shape)
 
@@ -253,16 +307,14 @@ def _apply(net: PinUnshear, variables: Variables, method: str, *inputs: Array) -
 
 
 def _make_inputs(net: PinNet, variables: Variables, pins: Array) -> tuple[Array, ...]:
-    """Make the inputs of E, or of a PoseNet: motions, and the grid if the network convolves."""
-    motions = _compute_motions(variables, pins)
-    return (motions, variables["batch_stats"]["grid"]) if net.convolved else (motions,)
+    """Make the inputs of E, or of a PoseNet: motions, and the grid if the network convolves.
 
-
-def _compute_motions(variables: Variables, pins: Array) -> Array:
-    """Compute motions (B, 2 P) of pins px in units of `spread`; 0 for missing pins."""
+    Motions (B, 2 P) are in units of `spread`; 0 for missing pins.
+    """
     constants = variables["batch_stats"]
     motion = (pins - constants["rest"][None]) / constants["spread"]
-    return jnp.where(jnp.isfinite(motion), motion, 0).reshape(pins.shape[0], -1)
+    motions = jnp.where(jnp.isfinite(motion), motion, 0).reshape(pins.shape[0], -1)
+    return (motions, constants["grid"]) if net.convolved else (motions,)
 
 
 def _convert_to_pins(variables: Variables, motions: Array) -> Array:

@@ -24,7 +24,7 @@ from jaxunshear.config.types import check_rules
 from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import networks as fast
 from jaxunshear.models.layers import INIT, Down, Same
-from jaxunshear.models.weights import Variables
+from jaxunshear.models.weights import Images, Outputs, PerExample, Variables
 
 
 class Network(nn.Module):
@@ -63,9 +63,7 @@ def init(net: networks.PoseNet, outputs: int, key: Array) -> Variables:
         return dict(_make_network(net, outputs).init(key, images, True))
 
 
-def predict(
-    net: networks.PoseNet, variables: Variables, images: Float[Array, "B S S 1"]
-) -> Float[Array, "B K"]:
+def predict(net: networks.PoseNet, variables: Variables, images: Images) -> Outputs:
     """Predict outputs in [0, 1] of images in [0, 1], each image independently."""
     network = _make_network_for(net, variables)
     outputs: Array = network.apply(variables, images, False)  # type: ignore[assignment]
@@ -73,11 +71,8 @@ def predict(
 
 
 def predict_training(
-    net: networks.PoseNet,
-    variables: Variables,
-    images: Float[Array, "B S S 1"],
-    radians: ArrayLike = 0.0,
-) -> tuple[Float[Array, "B K"], Variables]:
+    net: networks.PoseNet, variables: Variables, images: Images, radians: ArrayLike = 0.0
+) -> tuple[Outputs, Variables]:
     """Predict outputs with the statistics of the batch, and return the updated running ones.
 
     Images are not turned, and `radians` is for networks over pins.
@@ -101,7 +96,7 @@ def list_output_weights(targets: Targets) -> tuple[float, ...]:
     return tuple(target.weight for target in targets for _ in range(target.outputs))
 
 
-def scale_poses(batch: Mapping[str, ArrayLike], targets: Targets) -> Float[Array, "B K"]:
+def scale_poses(batch: Mapping[str, ArrayLike], targets: Targets) -> Outputs:
     """Scale the labels (B, _) of a batch, mm and deg by field, to outputs in [0, 1]."""
     signed: list[Array] = []
     for target in targets:
@@ -126,7 +121,7 @@ def sample_outputs(targets: Targets, count: int, key: Array) -> Float[Array, "{c
     return (jnp.stack(signed, -1) + 1) / 2
 
 
-def unscale_outputs(outputs: Float[Array, "B K"], targets: Targets) -> dict[str, Float[Array, "B"]]:
+def unscale_outputs(outputs: Outputs, targets: Targets) -> dict[str, PerExample]:
     """Turn outputs into mm and deg by target; angles of a full circle are in (-180, 180]."""
     signed = 2 * outputs - 1
     pose, column = {}, 0

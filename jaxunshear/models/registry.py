@@ -15,17 +15,9 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
+from jaxunshear.config import networks
 from jaxunshear.config import registry as names
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.networks import (
-    PinNet,
-    PinPoseNet,
-    PinRenderer,
-    PinUnshear,
-    PoseNet,
-    UNet,
-    UnshearNet,
-)
 from jaxunshear.models import pin_networks, posenet, unet, unshearnet
 from jaxunshear.models.modality import IMAGES, PINS, Modality
 from jaxunshear.models.reconstruction import Reconstruction
@@ -72,7 +64,7 @@ class NetworkFunctions:
     predict_training: Callable[[Net, Variables, Array, ArrayLike], tuple[Array, Tree]] | None = None
 
 
-def _init_pin_network(net: PinNet, facts: InitFacts, key: Array) -> Variables:
+def _init_pin_network(net: networks.PinNet, facts: InitFacts, key: Array) -> Variables:
     return pin_networks.init(net, facts.rest, facts.spread, key, facts.outputs)
 
 
@@ -81,7 +73,7 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
     for functions in (
         NetworkFunctions(
             "unshear",
-            UnshearNet,
+            networks.UnshearNet,
             IMAGES,
             lambda net, facts, key: unshearnet.init(net, key),
             reconstruct=unshearnet.reconstruct,
@@ -94,14 +86,14 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
         ),
         NetworkFunctions(
             "unet",
-            UNet,
+            networks.UNet,
             IMAGES,
             lambda net, facts, key: unet.init(net, key),
             reconstruct=unet.reconstruct,
         ),
         NetworkFunctions(
             "posenet",
-            PoseNet,
+            networks.PoseNet,
             IMAGES,
             lambda net, facts, key: posenet.init(net, facts.outputs, key),
             predict=posenet.predict,
@@ -109,7 +101,7 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
         ),
         NetworkFunctions(
             "pin_unshear",
-            PinUnshear,
+            networks.PinUnshear,
             PINS,
             _init_pin_network,
             reconstruct=pin_networks.reconstruct,
@@ -122,13 +114,13 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
         ),
         NetworkFunctions(
             "pin_posenet",
-            PinPoseNet,
+            networks.PinPoseNet,
             PINS,
             _init_pin_network,
             predict=pin_networks.predict,
             predict_training=pin_networks.predict_training,
         ),
-        NetworkFunctions("renderer", PinRenderer, PINS, _init_pin_network),
+        NetworkFunctions("renderer", networks.PinRenderer, PINS, _init_pin_network),
     )
 }
 

@@ -12,7 +12,6 @@ be swapped.
 import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float
 
 from jaxunshear.config import networks
 from jaxunshear.config.types import check_rules
@@ -20,7 +19,7 @@ from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import networks as fast
 from jaxunshear.models.layers import Down, Last, Up
 from jaxunshear.models.reconstruction import Reconstruction
-from jaxunshear.models.weights import Variables
+from jaxunshear.models.weights import Images, Variables
 
 
 class Network(nn.Module):
@@ -55,7 +54,7 @@ def init(net: networks.UNet, key: Array) -> Variables:
 def reconstruct(
     net: networks.UNet,
     variables: Variables,
-    images: Float[Array, "B S S 1"],
+    images: Images,
     key: Array | None = None,
     *_: Array | None,
 ) -> tuple[Reconstruction, Variables]:

@@ -28,12 +28,10 @@ from jaxtyping import Float
 from jaxunshear.config.networks import UnshearNet
 from jaxunshear.config.types import check_rules
 from jaxunshear.models import layer_choice
-from jaxunshear.models.fast import layers as fast_layers
 from jaxunshear.models.fast import networks as fast
-from jaxunshear.models.layers import Down, Last, Same, Up
+from jaxunshear.models.layers import Down, Last, Same, Up, VectorCode, VectorDecoder
 from jaxunshear.models.reconstruction import Reconstruction, measure_disagreement
-from jaxunshear.models.vector_code import VectorCode, VectorDecoder
-from jaxunshear.models.weights import Variables, check_has_sheared_decoder, has_part
+from jaxunshear.models.weights import Images, Variables, check_has_sheared_decoder, has_part
 
 
 class Encoder(nn.Module):
@@ -72,7 +70,7 @@ class Network(nn.Module):
         decoder: Callable[[], nn.Module] = partial(
             layer_choice.pick_layer(Decoder, fast.Decoder), net.widths
         )
-        code = VectorCode if net.apart else layer_choice.pick_layer(Same, fast_layers.Same)
+        code = VectorCode if net.apart else layer_choice.pick_layer(Same, fast.Same)
         if net.apart:
             side = net.size // 2 ** len(net.widths)
             decoder = partial(VectorDecoder, (side, side, net.widths[-1]), decoder)
@@ -176,7 +174,7 @@ def match_entangled_size(net: UnshearNet) -> UnshearNet:
 
 
 def encode(
-    net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]
+    net: UnshearNet, variables: Variables, images: Images
 ) -> tuple[Float[Array, "B s s _"], Float[Array, "B _ _ _"] | None]:
     """Encode images in [0, 1] as (z_p, z_s), by channels.
 
@@ -187,9 +185,7 @@ def encode(
     return _apply(net, variables, "encode", images)
 
 
-def decode_canonical(
-    net: UnshearNet, variables: Variables, z_p: Float[Array, "B s s _"]
-) -> Float[Array, "B S S 1"]:
+def decode_canonical(net: UnshearNet, variables: Variables, z_p: Float[Array, "B s s _"]) -> Images:
     """Decode the pose code by DC to logits of the canonical image."""
     return _apply(net, variables, "decode_canonical", z_p)
 
@@ -199,7 +195,7 @@ def decode_sheared(
     variables: Variables,
     z_p: Float[Array, "B s s _"],
     z_s: Float[Array, "B _ _ _"],
-) -> Float[Array, "B S S 1"]:
+) -> Images:
     """Decode both codes by DS to logits of the sheared image.
 
     Raises UserError for released weights, which leave DS out.
@@ -208,9 +204,7 @@ def decode_sheared(
     return _apply(net, variables, "decode_sheared", z_p, z_s)
 
 
-def unshear(
-    net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]
-) -> Float[Array, "B S S 1"]:
+def unshear(net: UnshearNet, variables: Variables, images: Images) -> Images:
     """Unshear images in [0, 1], with neither the shear code nor DS."""
     return _apply(net, variables, "unshear", images)
 
@@ -218,10 +212,10 @@ def unshear(
 def reconstruct(
     net: UnshearNet,
     variables: Variables,
-    images: Float[Array, "B S S 1"],
+    images: Images,
     key: Array | None = None,
-    same_pose: Float[Array, "B S S 1"] | None = None,
-    same_slide: Float[Array, "B S S 1"] | None = None,
+    same_pose: Images | None = None,
+    same_slide: Images | None = None,
 ) -> tuple[Reconstruction, Variables]:
     """Run both decoders over sheared images; return the running statistics, updated in training.
 

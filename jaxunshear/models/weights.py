@@ -5,6 +5,8 @@ from functools import partial
 from typing import Any
 
 import jax
+from jax import Array
+from jaxtyping import Float
 
 from jaxunshear.errors import Note, UserError
 
@@ -13,6 +15,11 @@ Variables = dict[str, Any]
 Net = Any  # settings of a network, of whichever kind
 AnyArray = Any  # of JAX or NumPy, as the argument
 Tree = Any  # weights, a state or a part of them
+
+Images = Float[Array, "B S S 1"]
+Pins = Float[Array, "B P 2"]  # px
+Outputs = Float[Array, "B K"]  # of all pose targets, see `posenet`
+PerExample = Float[Array, "B"]
 
 
 def list_leaves(tree: Tree) -> dict[str, Any]:

@@ -14,7 +14,6 @@ import numpy as np
 from jaxunshear.config.reach import compute_ring_arcs, compute_ring_spacing
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.progress import Progress
-from jaxunshear.simulator.admm import Solver
 from jaxunshear.simulator.contact_problem import (
     ContactProblem,
     NodeCounts,
@@ -23,9 +22,9 @@ from jaxunshear.simulator.contact_problem import (
     count_node_states,
     make_undeformed_skins,
 )
-from jaxunshear.simulator.contact_results import Contacts, Skins
+from jaxunshear.simulator.contacts import Contacts, Skins
 from jaxunshear.simulator.dome import load_shared_dome
-from jaxunshear.simulator.friction import follow_path
+from jaxunshear.simulator.friction import Solver, follow_path
 from jaxunshear.simulator.harmonics import make_sixfold_permutations
 from jaxunshear.simulator.level import STRONG_FRICTION
 from jaxunshear.simulator.paths import TILT_X, YAW, Paths, cut_increments
@@ -128,23 +127,11 @@ def _make_untouched_contacts(simulation: Simulation, paths: Paths) -> BatchResul
 
 
 class _EndState(NamedTuple):
-    """Padded skins at the ends of their paths."""
+    """Skins at the ends of their paths."""
 
     skin: Skin
     quality: Quality
     counts: NodeCounts
-
-
-class _LatticeSolution(NamedTuple):
-    """The solution of one batch on its turned lattice, without its padding."""
-
-    force_n: np.ndarray  # (b, n, 3)
-    residual_mm: np.ndarray  # (b,) as the others
-    tolerance_mm: np.ndarray
-    iterations: np.ndarray
-    stuck: np.ndarray
-    slipping: np.ndarray
-    free: np.ndarray
 
 
 def _solve_batch(
@@ -154,23 +141,24 @@ def _solve_batch(
     placement = place_on_lattice(batch, nodes)
     poses = _cut_on_lattice(simulation, paths, batch, placement)
     start_n = None if start is None else placement.gather(start.force_n)
-    solved = _solve_on_lattice(simulation, paths, batch, poses, start_n)
-    force_n = placement.scatter(solved.force_n, nodes)
+    lattice_n, (_, quality, counts) = _solve_on_lattice(simulation, paths, batch, poses, start_n)
+    force_n = placement.scatter(lattice_n, nodes)
     pins = _compute_pins(simulation, force_n)
-    solved_well = solved.residual_mm <= solved.tolerance_mm
+    stuck, slipping = np.asarray(counts.stuck), np.asarray(counts.slipping)
+    solved_well = np.asarray(quality.residual_mm <= quality.tolerance_mm)
     contacts = Contacts(
         pins=pins,
-        residual_mm=solved.residual_mm,
+        residual_mm=np.asarray(quality.residual_mm),
         converged=solved_well & np.isfinite(pins).all(axis=(1, 2)),
-        iterations=solved.iterations,
-        stuck_nodes=solved.stuck,
-        slipping_nodes=solved.slipping,
-        free_nodes=nodes - solved.stuck - solved.slipping,
+        iterations=np.asarray(quality.iterations),
+        stuck_nodes=stuck,
+        slipping_nodes=slipping,
+        free_nodes=nodes - stuck - slipping,
         force_n=force_n.sum(axis=1),
         nodes=np.full(count, len(batch.nodes)),
         retried=np.zeros(count, bool),
     )
-    incomplete = _needs_more_nodes(simulation, paths, batch, poses[:, -1], solved.force_n)
+    incomplete = _needs_more_nodes(simulation, paths, batch, poses[:, -1], lattice_n)
     return BatchResult(contacts, Skins(force_n, paths.points[:, -1]), incomplete)
 
 
@@ -192,8 +180,11 @@ def _solve_on_lattice(
     batch: ContactBatch,
     poses: np.ndarray,
     start_n: np.ndarray | None,
-) -> _LatticeSolution:
-    """Solve a batch from forces (b, n, 3), padded by repeats of its last scene."""
+) -> tuple[np.ndarray, _EndState]:
+    """Solve a batch from forces (b, n, 3), padded by repeats of its last scene.
+
+    Returns forces (b, n, 3) at the end, and the end without its padding.
+    """
     level, count, used = simulation.level, len(paths), len(batch.nodes)
     size = min(pad_count(count, BATCHES), max(simulation.batch, count))
     rows = np.minimum(np.arange(size), count - 1)
@@ -228,17 +219,12 @@ def _solve_on_lattice(
         )
     force_n = np.zeros((count, used, 3))
     force_n[..., 3 - unknowns :] = end.skin.force[:count, :used] * newtons
-    fields = (*end.quality, *end.counts)
-    return _LatticeSolution(force_n, *(field[:count] for field in fields))
+    return force_n, jax.tree.map(lambda field: field[:count], end)
 
 
 @partial(jax.jit, static_argnames="solver")
 def _follow_from_force(
-    problem: ContactProblem,
-    path: jax.Array,
-    steps: jax.Array,
-    force: jax.Array,
-    solver: Solver,
+    problem: ContactProblem, path: jax.Array, steps: jax.Array, force: jax.Array, solver: Solver
 ) -> _EndState:
     """Follow a path (T + 1, B, 6) from skins under forces (B, N, d)."""
     skin = make_undeformed_skins(problem.system, path[0])
@@ -260,11 +246,7 @@ def _compute_pins(simulation: Simulation, force_n: np.ndarray) -> np.ndarray:
 
 
 def _needs_more_nodes(
-    simulation: Simulation,
-    paths: Paths,
-    batch: ContactBatch,
-    pose: np.ndarray,
-    force_n: np.ndarray,
+    simulation: Simulation, paths: Paths, batch: ContactBatch, pose: np.ndarray, force_n: np.ndarray
 ) -> np.ndarray:
     """Find the scenes (B,) that need nodes that were left out.
 
@@ -284,11 +266,7 @@ def _needs_more_nodes(
     columns = (3 * batch.nodes[loaded][:, None] + np.arange(3)).ravel()
     moved = force_n[:, loaded].reshape(len(paths), -1) @ dome.w[np.ix_(rows, columns)].T
     gap = compute_gaps(
-        simulation,
-        dome.nodes[beside],
-        paths.stimulus,
-        pose,
-        moved.reshape(len(paths), -1, 3),
+        simulation, dome.nodes[beside], paths.stimulus, pose, moved.reshape(len(paths), -1, 3)
     )
     return beyond | (np.min(gap, axis=1) < -PENETRATION_MM)
 

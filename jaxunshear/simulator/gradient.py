@@ -27,18 +27,13 @@ from jaxtyping import Float
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.simulator import dome as domes
-from jaxunshear.simulator.contact_problem import ContactProblem, System, make_undeformed_skins
+from jaxunshear.simulator.contact_problem import RHO, ContactProblem, System, make_undeformed_skins
+from jaxunshear.simulator.contacts import check_paths
 from jaxunshear.simulator.implicit import GOAL_MM, compute_pin_state
-from jaxunshear.simulator.increment import RHO
-from jaxunshear.simulator.input_checks import check_paths
 from jaxunshear.simulator.level import Level, get_level
-from jaxunshear.simulator.obstacle import Obstacles
 from jaxunshear.simulator.paths import TURNS, Paths, cut_increments
-from jaxunshear.simulator.scheduler import (
-    Simulation,
-    Stimuli,
-    find_reachable_nodes,
-)
+from jaxunshear.simulator.scheduler import Simulation, Stimuli, find_reachable_nodes
+from jaxunshear.simulator.stimuli import Obstacles
 
 SWITCH_MM = 1e-6  # nearer to a switch than this, rounding decides on which side a node is found
 TOUCHING_SHARE = 0.75  # of the nodes within reach: about as many as ever touch at once

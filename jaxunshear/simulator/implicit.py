@@ -28,17 +28,25 @@ from jax import Array
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Float
 
-from jaxunshear.simulator.admm import Solver, SolverStart
-from jaxunshear.simulator.contact_problem import ContactProblem, Skin
-from jaxunshear.simulator.frame import compute_increment_length, rotate, transpose
-from jaxunshear.simulator.friction import LEAST_MM, MOST_MM, PASSES, make_increment, move_skins
-from jaxunshear.simulator.increment import (
+from jaxunshear.simulator.contact_problem import (
     RHO,
+    ContactProblem,
     Increment,
+    Skin,
     compute_projection_slopes,
     project,
     solve_linearised,
 )
+from jaxunshear.simulator.friction import (
+    LEAST_MM,
+    MOST_MM,
+    PASSES,
+    Solver,
+    SolverStart,
+    make_increment,
+    move_skins,
+)
+from jaxunshear.simulator.paths import compute_increment_length, rotate, transpose
 
 TOLERANCE = 1e-3  # of the solver's first round, before the Newton steps
 SOLVER = Solver(TOLERANCE, limit=2000)
@@ -62,10 +70,7 @@ class _PathState(NamedTuple):
 
 
 def compute_pin_state(
-    problem: ContactProblem,
-    to_pins: Float[Array, "N3 P3"],
-    path: Float[Array, "T B 6"],
-    skin: Skin,
+    problem: ContactProblem, to_pins: Float[Array, "N3 P3"], path: Float[Array, "T B 6"], skin: Skin
 ) -> PinState:
     """Compute where the pins are after B skins followed `path`.
 

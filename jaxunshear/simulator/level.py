@@ -20,7 +20,7 @@ class Level:
     A leg between two way points is cut into increments of at most `press_mm` in depth and
     `slide_mm` along the surface. A leg has at least `press` or `slide` of them, unless "steps" is
     among the omissions. `tolerance`, `limit`, `strong_friction` and `method` are as in
-    `admm.Solver`. `reference` leaves out only what provably changes nothing.
+    `friction.Solver`. `reference` leaves out only what provably changes nothing.
     """
 
     press: int

@@ -114,9 +114,7 @@ def compute_edge_labels(
 
 
 def has_one_edge(
-    stimuli: tuple[str | Outline, ...],
-    stimulus: Num[np.ndarray, "B"],
-    pose: Num[np.ndarray, "B P"],
+    stimuli: tuple[str | Outline, ...], stimulus: Num[np.ndarray, "B"], pose: Num[np.ndarray, "B P"]
 ) -> Bool[np.ndarray, "B"]:
     """Find the poses at which the direction of the nearest edge is unambiguous.
 

@@ -22,22 +22,27 @@ from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.stimuli import Outline
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.elasticity import Compliance
-from jaxunshear.simulator.frame import (
+from jaxunshear.simulator.harmonics import make_sixfold_permutations
+from jaxunshear.simulator.level import Level
+from jaxunshear.simulator.paths import (
+    DEPTH,
+    TILT_X,
+    TURNS,
+    YAW,
+    Paths,
     compute_level_frame,
+    cut_increments,
     matmul,
     rotate_in_plane,
     transform_to_level,
 )
-from jaxunshear.simulator.harmonics import make_sixfold_permutations
-from jaxunshear.simulator.level import Level
-from jaxunshear.simulator.obstacle import (
+from jaxunshear.simulator.stimuli import (
     Obstacles,
+    Stimulus,
     compute_surface_drop,
     interpolate_distance,
     sample_obstacles,
 )
-from jaxunshear.simulator.paths import DEPTH, TILT_X, TURNS, YAW, Paths, cut_increments
-from jaxunshear.simulator.stimuli import Stimulus
 
 Stimuli = tuple[str | Outline | Stimulus, ...]
 

@@ -11,11 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from jaxunshear.config.sensor import Sensor
+from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.batches import make_undeformed_contacts, solve_batches
-from jaxunshear.simulator.contact_results import Contacts, Skins
-from jaxunshear.simulator.input_checks import (
-    check_batch,
+from jaxunshear.simulator.contacts import (
+    Contacts,
+    Skins,
     check_paths,
     check_scenes,
     check_start,
@@ -106,7 +107,8 @@ def _follow(
 
 
 def _check(simulation: Simulation, paths: Paths, start: Skins | None) -> None:
-    check_batch(simulation.batch)
+    if simulation.batch < 1:
+        raise UserError(f"batch = {simulation.batch}: solve at least 1 scene at a time")
     check_paths(simulation.sensor, len(simulation.stimuli), paths)
     if start is not None:
         check_start(paths, start, len(simulation.dome.nodes))

@@ -13,10 +13,9 @@ from scipy.linalg import get_lapack_funcs
 from threadpoolctl import threadpool_limits
 
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.simulator.contact_problem import System
+from jaxunshear.simulator.contact_problem import RHO, System
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.harmonics import make_sixfold_permutations
-from jaxunshear.simulator.increment import RHO
 from jaxunshear.simulator.scheduler import NODE_COUNTS, ContactBatch, pad_count
 
 FAR_MM = 1e3  # where padding nodes stand: no stimulus reaches them

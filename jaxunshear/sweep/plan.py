@@ -31,7 +31,7 @@ from jaxunshear.results.record_files import write_record
 from jaxunshear.results.run import Settings
 from jaxunshear.sweep.grid import Row, format_training_name
 from jaxunshear.sweep.tasks import TASK, Task, TaskOrder, get_outcome_file, read_order, read_outcome
-from jaxunshear.training.data_origin import check_origin
+from jaxunshear.training.provenance import check_origin
 
 FINISHED = "summary.json"  # of a training
 

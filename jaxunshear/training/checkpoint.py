@@ -17,7 +17,7 @@ import hashlib
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -144,9 +144,9 @@ def load_best(folder: Path) -> Json:
     return _nest(averages)
 
 
-def compute_weights_digest(folder: Path) -> str:
-    """Compute the digest of the variables that `load_best` returns. Raises UserError."""
-    return _compute_digest(list_leaves(load_best(folder)))
+def compute_weights_digest(variables: Variables) -> str:
+    """Compute the digest of variables as `load_best` returns them."""
+    return _compute_digest(list_leaves(variables))
 
 
 def write_weights(folder: Path, variables: Variables, modules: Sequence[str] = ()) -> None:
@@ -336,3 +336,15 @@ def _flatten(tree: object, prefix: str = "") -> Json:
     for name, value in tree.items():
         flat |= _flatten(value, f"{prefix}.{name}" if prefix else name)
     return flat
+
+
+class TrainedNetwork(NamedTuple):
+    net: Net
+    variables: Variables
+    targets: Targets  # that it predicts, of a PoseNet
+
+
+def load_network(folder: Path) -> TrainedNetwork:
+    """Load a network from its folder. Raises UserError if it is missing, damaged or unfinished."""
+    check_finished(folder)
+    return TrainedNetwork(read_net(folder), load_best(folder), read_targets(folder))

@@ -1,9 +1,11 @@
 """Devices of a training: one, or several with a part of the batch and all weights on each.
 
 The step is the same: XLA turns its sums over the batch, of losses, gradients and normalisation,
-into sums over all devices.
+into sums over all devices. A thread draws the next batch and puts it there while a step runs.
 """
 
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -16,6 +18,8 @@ from jaxunshear.errors import UserError
 State = TypeVar("State")
 Fields = dict[str, np.ndarray | jax.Array]
 AXIS = "batch"
+HostBatch = TypeVar("HostBatch")
+DeviceBatch = TypeVar("DeviceBatch")
 
 
 class Devices(NamedTuple):
@@ -65,3 +69,25 @@ def get_devices(batch: int) -> Devices:
     if count == 1:
         return Devices(1, None)
     return Devices(count, Mesh(np.array(devices[:count]), (AXIS,)))
+
+
+def prefetch(
+    batches: Iterator[HostBatch], put: Callable[[HostBatch], DeviceBatch]
+) -> Generator[DeviceBatch, None, None]:
+    """Yield `put(batch)` of every batch of an endless iterator, in its order.
+
+    Close the generator to end the thread. Errors of `batches` and `put` are raised here. A thread
+    not only saves the time to draw a batch: it has memory of its own. The intermediate arrays of a
+    step are one large block of the calling thread's memory (`allocator.py`), which the next step
+    can use again unless part of it has been taken since.
+    """
+
+    def draw() -> DeviceBatch:
+        return put(next(batches))
+
+    with ThreadPoolExecutor(1, "batches") as thread:
+        future = thread.submit(draw)
+        while True:
+            batch = future.result()
+            future = thread.submit(draw)
+            yield batch

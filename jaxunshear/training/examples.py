@@ -1,9 +1,14 @@
 """Open the examples of a network, with what trained networks and the simulator add to them.
 
 >>> examples = open_examples(experiment, "disentangled", data_dir, run_dir)
+>>> few = select_few_pairs(examples, share=0.1, seed=0)  # slides of a tenth of the poses
+>>> batches = few.reader.train_batches(64, 0, 0.0, fields)
+>>> batches = add_taps(batches, taps, 32, seed=0)  # {"tap_pins"} (32, P, 2) px
+>>> # two slides to one pose: {"one_pins", "another_pins"} (32, P, 2) px
+>>> batches = add_same_pose_slides(batches, examples, 32, seed=0)
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,21 +18,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.network_config import resolve_network
+from jaxunshear.config.network_config import NetworkConfig, resolve_network
 from jaxunshear.config.registry import POSENET_SHEARED, RENDERER
+from jaxunshear.config.splits import hash_text
 from jaxunshear.config.targets import RECORDED_FIELDS
-from jaxunshear.data.pairing import PoseEstimator, SlideSimulator, TapRenderer
-from jaxunshear.data.reader import Batch, Reader
-from jaxunshear.data.recorded_set import RecordedSet
+from jaxunshear.data.pose_groups import group_by_pose
+from jaxunshear.data.reader import Batch, Reader, SetReader, open_set
+from jaxunshear.data.recorded_set import PoseEstimator, RecordedSet, SlideSimulator, TapRenderer
 from jaxunshear.data.sources import Examples, open_source
-from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.models import pin_networks, posenet
-from jaxunshear.training.checkpoint import SUMMARY
-from jaxunshear.training.trained_network import TrainedNetwork, load_network
+from jaxunshear.models.modality import IMAGES, PINS
+from jaxunshear.training.checkpoint import load_network
+from jaxunshear.training.losses import ANOTHER, ONE, TAPS
 
 POSES_AT_ONCE = 1024
 IMAGES_AT_ONCE = 128
+VALIDATION_BATCH = 64
 FRAME = "frame.json"  # in a run's folder: what all frames of its sensor have in common
+Batches = Callable[[int], Iterator[Batch]]
 
 
 def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir: Path) -> Examples:
@@ -35,11 +44,9 @@ def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir:
 
     Raises UserError if the data set, or the renderer that its pairs take, is missing or damaged.
     """
-    config, inputs = (
-        resolve_network(experiment, network),
-        HelperLoader(experiment, data_dir, run_dir),
-    )
-    return open_source(experiment).open_examples(config, data_dir, inputs)
+    config = resolve_network(experiment, network)
+    helpers = HelperLoader(experiment, data_dir, run_dir)
+    return open_source(experiment).open_examples(config, data_dir, helpers)
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,7 @@ class HelperLoader:
 
     def load_renderer(self) -> TapRenderer:
         """Load the renderer as a function of poses (N, 6). Raises UserError."""
-        net, variables, targets = _load_network(self.run_dir / RENDERER, "pairs that are rendered")
+        net, variables, targets = load_network(self.run_dir / RENDERER)
         run = jax.jit(partial(pin_networks.render_pins, net, variables))
 
         def render_part(poses: np.ndarray) -> ArrayLike:
@@ -68,9 +75,7 @@ class HelperLoader:
 
         It returns poses (N, 6), 0 in columns that are not among its targets.
         """
-        net, variables, targets = _load_network(
-            self.run_dir / POSENET_SHEARED, "slides without labels that are read"
-        )
+        net, variables, targets = load_network(self.run_dir / POSENET_SHEARED)
         over_pins = self.experiment.unshear.input == "pins"
         predict = partial((pin_networks if over_pins else posenet).predict, net, variables)
         run = jax.jit(lambda inputs: posenet.unscale_outputs(predict(inputs), targets))
@@ -106,13 +111,6 @@ def measure_pin_spread(reader: Reader, field: str, rest: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(np.square(pins - rest))))
 
 
-def _load_network(folder: Path, what: str) -> TrainedNetwork:
-    """Load a trained network that `what` needs. Raises UserError."""
-    if not (folder / SUMMARY).exists():
-        raise UserError(f"{folder} is missing, and {what} need it: train {folder.name} first")
-    return load_network(folder)
-
-
 def _run_in_parts(
     function: Callable[[np.ndarray], ArrayLike], values: np.ndarray, count: int
 ) -> np.ndarray:
@@ -124,3 +122,103 @@ def _run_in_parts(
         filled[: len(part)] = part
         results.append(np.asarray(function(filled))[: len(part)])
     return np.concatenate(results)
+
+
+def select_few_pairs(examples: Examples, share: float, seed: int) -> Examples:
+    """Select the training and validation slides of a `share` of the poses, at least one.
+
+    `examples` are simulated. An epoch stays as long as it is with all pairs.
+    """
+    stored = _get_set_reader(examples)
+
+    def load(split: str) -> Batch:
+        rows = stored.rows(split)
+        if split == "test":
+            return dict(rows)
+        selected = choose_poses(rows["stimulus"], rows["pose_id"], share, seed)
+        return {name: value[selected] for name, value in rows.items()}
+
+    return examples._replace(reader=Reader(load, examples.pins.size))
+
+
+def choose_poses(stimulus: np.ndarray, pose_id: np.ndarray, share: float, seed: int) -> np.ndarray:
+    """Return whether the pose of each row is chosen, (N,).
+
+    Smaller shares lie within larger ones of the same seed.
+    """
+    poses, row = np.unique(np.stack([stimulus, pose_id], axis=1), axis=0, return_inverse=True)
+    hashes = [hash_text(f"pair {seed} {s} {p}") for s, p in poses.tolist()]
+    order = sorted(range(len(poses)), key=hashes.__getitem__)
+    is_chosen = np.zeros(len(poses), bool)
+    is_chosen[order[: max(1, round(share * len(poses)))]] = True
+    return is_chosen[row.reshape(-1)]
+
+
+def add_single_contacts(
+    batches: Batches, config: NetworkConfig, examples: Examples, data_dir: Path
+) -> Batches:
+    """Add the taps and slides without partners that the losses of a network take."""
+    count = max(1, config.training.batch // 2)  # in a step, in addition to the pairs
+    if config.taps:
+        taps = open_set(config.taps, data_dir, config.sensor)
+        batches = add_taps(batches, taps, count, config.seed)
+    if "consistency" in config.training.losses:
+        batches = add_same_pose_slides(batches, examples, count, config.seed)
+    return batches
+
+
+def add_taps(batches: Batches, taps: Reader, count: int, seed: int) -> Batches:
+    """Add the pins of `count` taps to each batch, drawn by seed and step."""
+    tap_batches = taps.train_batches(count, seed, 0.0, ("pins",))
+
+    def start_batches(start: int = 0) -> Iterator[Batch]:
+        for batch, tap_batch in zip(batches(start), tap_batches(start), strict=True):
+            yield batch | {TAPS: tap_batch["pins"]}
+
+    return start_batches
+
+
+def add_same_pose_slides(batches: Batches, examples: Examples, count: int, seed: int) -> Batches:
+    """Add `count` pairs of training slides to one pose to each batch, drawn by seed and step.
+
+    A slide that is the only one to its pose is paired with itself.
+    """
+
+    def start_batches(start: int = 0) -> Iterator[Batch]:
+        rows = _get_set_reader(examples).rows("train")
+        pins, groups = rows["sheared_pins"], group_by_pose(rows["stimulus"], rows["pose_id"])
+        for step, batch in enumerate(batches(start), start):
+            generator = np.random.default_rng((seed, step))
+            one = generator.integers(len(pins), size=count)
+            another = groups.sample_other(one, generator)
+            yield batch | {ONE: pins[one], ANOTHER: pins[another]}
+
+    return start_batches
+
+
+def _get_set_reader(examples: Examples) -> SetReader:
+    assert isinstance(examples.reader, SetReader)  # simulated
+    return examples.reader
+
+
+def rename_inputs(batch: Json) -> Json:
+    """Rename the slides of a batch without taps as the inputs of a PoseNet."""
+    names = {each.sheared: each.single for each in (IMAGES, PINS) if each.canonical not in batch}
+    return {names.get(name, name): values for name, values in batch.items()}
+
+
+def take_first(
+    split: Callable[..., Iterator[Batch]], count: int, fields: tuple[str, ...]
+) -> Callable[[], Iterator[Batch]]:
+    """Make the function that reads the first `count` validation examples, in batches."""
+
+    def start_batches() -> Iterator[Batch]:
+        taken = 0
+        for batch in split("validation", VALIDATION_BATCH, fields):
+            batch = {name: values[: count - taken] for name, values in batch.items()}
+            taken += len(batch[fields[0]])
+            yield rename_inputs(batch)
+            if taken >= count:
+                return
+
+    return start_batches

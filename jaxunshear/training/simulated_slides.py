@@ -29,7 +29,7 @@ from jaxunshear.data.pairing import SlideSimulator
 from jaxunshear.data.reader import Batch
 from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.errors import UserError
-from jaxunshear.training.domain_randomisation import SHIFTED, TURNED_DEG
+from jaxunshear.training.augmentation import SHIFTED, TURNED_DEG
 
 SLIDE_MM = 5.0  # along both axes of the object's top, within +- this: most slides come to slip
 TWIST_DEG = 5.0  # about all three axes

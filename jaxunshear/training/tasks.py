@@ -25,8 +25,8 @@ from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import PINS, Batch
 from jaxunshear.models.registry import InitFacts, NetworkFunctions, get_functions
 from jaxunshear.models.weights import Net, Tree, Variables
+from jaxunshear.training.augmentation import Rotations, rotate_outputs, rotate_pins, sample_rotation
 from jaxunshear.training.losses import PairInputs, PoseInputs
-from jaxunshear.training.rotation import Rotations, rotate_outputs, rotate_pins, sample_rotation
 
 Terms = dict[str, Array]  # losses per example (B,), by name
 
@@ -216,7 +216,12 @@ def _make_task(
         if role == "reads poses" and key is None:
             assert isinstance(inputs.outputs, Array)
             terms |= compute_pose_error_terms(inputs.outputs, batch, targets)
-        return _weight_terms(terms, batch), statistics
+        # rendered taps, which are no examples, are all sure
+        weighed = [name for name in terms if name != "rendered_pose"]
+        for field in ("weight", "sure"):
+            if field in batch:
+                terms |= {name: terms[name] * batch[field] for name in weighed}
+        return terms, statistics
 
     return Task(
         functions.kind,
@@ -226,33 +231,25 @@ def _make_task(
         compute_terms,
         dict(training.losses),
         lambda variables, batch: compute_terms(variables, batch, None)[0],
-        _choose_rank(specs),
+        next(spec.name for spec in specs if spec.is_validated),
     )
 
 
 def _list_losses(training: Training, role: Role) -> list[LossSpec]:
     """Return the losses that a training names, in the order of the registry.
 
-    Raises UserError for one that is unknown, or for networks of another role.
+    Raises UserError for one that is unknown, or for networks of another role, and if none is
+    computed in validation.
     """
     specs = [get_loss(name) for name in training.losses]
     for spec in specs:
         if spec.role != role:
             raise UserError(f"losses.{spec.name}: is for a network that {spec.role}: leave it out")
+    if not any(spec.is_validated for spec in specs):
+        names = ", ".join(training.losses)
+        raise UserError(f"losses = {names}: none is computed in validation: name another, too")
     order = list(LOSSES)
     return sorted(specs, key=lambda spec: order.index(spec.name))
-
-
-def _choose_rank(specs: list[LossSpec]) -> str:
-    """Return the loss that the best model is chosen by: the first that validation computes.
-
-    Raises UserError where there is none.
-    """
-    for spec in specs:
-        if spec.is_validated:
-            return spec.name
-    names = ", ".join(spec.name for spec in specs)
-    raise UserError(f"losses = {names}: none is computed in validation: name another, too")
 
 
 def compute_pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> Terms:
@@ -263,17 +260,3 @@ def compute_pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> 
         name: jnp.abs(wrap_degrees(error) if name.endswith("_deg") else error)
         for name, error in errors.items()
     }
-
-
-def _weight_terms(terms: Terms, batch: Batch) -> Terms:
-    """Weigh terms (B,) by the "weight" of their examples, and by "sure", 0 for unsure pins.
-
-    Rendered taps, which are no examples, are all sure.
-    """
-    for field in ("weight", "sure"):
-        if field in batch:
-            terms = {
-                name: term if name == "rendered_pose" else term * batch[field]
-                for name, term in terms.items()
-            }
-    return terms

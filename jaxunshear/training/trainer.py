@@ -35,20 +35,11 @@ from jaxunshear.results import record_files
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.provenance import describe_machine
 from jaxunshear.training import checkpoint
-from jaxunshear.training.devices import Devices, get_devices
-from jaxunshear.training.finite_check import check_state, check_terms
-from jaxunshear.training.initial_weights import InitialWeights, replace_weights
-from jaxunshear.training.prefetch import prefetch
-from jaxunshear.training.step import (
-    State,
-    init_state,
-    make_optimiser,
-    make_schedule,
-    make_step,
-)
+from jaxunshear.training.devices import Devices, get_devices, prefetch
+from jaxunshear.training.monitor import check_state, check_terms, make_measurement, open_events
+from jaxunshear.training.provenance import InitialWeights, replace_weights
+from jaxunshear.training.step import State, init_state, make_optimiser, make_schedule, make_step
 from jaxunshear.training.tasks import Batch, Task, Tree
-from jaxunshear.training.tensorboard import open_events
-from jaxunshear.training.validation import make_measurement
 
 RESUME_REMEDY = "delete it to go on from the latest checkpoint"
 
@@ -66,7 +57,7 @@ class Provenance(NamedTuple):
     """Where the data and the first weights of a training come from."""
 
     origin: object = None  # any JSON that describes the data set
-    data: Sequence[str] = ()  # digests of all data that is learnt, see initial_weights.py
+    data: Sequence[str] = ()  # digests of all data that is learnt, see provenance.py
     start: InitialWeights | None = None  # replace fresh weights of the same parts
 
 

@@ -15,11 +15,7 @@ from jaxunshear.data.simulation import render_images
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.servo_scores import score_trajectories
-from jaxunshear.inference.edge_methods import (
-    list_methods,
-    load_unshearers,
-    make_edge_estimators,
-)
+from jaxunshear.inference.edge_methods import list_methods, load_unshearers, make_edge_estimators
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.perception.drawing import draw_dots
@@ -72,10 +68,8 @@ def test_pins_are_followed_and_what_is_not_is_nan(images_and_pins):
     for alone in (False, True):
         tracked = track_images(LATTICE, images, alone)
         assert tracked.identified.tolist() == [True, False]
-        assert (
-            np.isnan(tracked.motion[1]).all()
-            and (np.isnan(tracked.motion[0]) == np.isnan(pins)).all()
-        )
+        assert np.isnan(tracked.motion[1]).all()
+        assert (np.isnan(tracked.motion[0]) == np.isnan(pins)).all()
         distance = np.linalg.norm(LATTICE.rest + tracked.motion[0] - pins, axis=-1)
         assert np.nanmax(distance) < 0.5
     motion = measure_motions(LATTICE, images)
@@ -130,9 +124,8 @@ def test_servo_then_reconstruct_by_pins(command, brief, model, tmp_path):
     answer = command("servo", *words, "--starts", 1, "--ways", "sheared,disentangled")
     assert answer.code == 0, answer.err
     rows = json.loads((tmp_path / "walks" / "servo.json").read_text())["rows"]
-    assert [row["way"] for row in rows] == ["sheared", "disentangled"] and not any(
-        row["unfollowed"] for row in rows
-    )
+    assert [row["way"] for row in rows] == ["sheared", "disentangled"]
+    assert not any(row["unfollowed"] for row in rows)
     answer = command("reconstruct", *words)
     assert answer.code == 0, answer.err
     found = json.loads((tmp_path / "walks" / "reconstruct.json").read_text())["rows"]

@@ -34,11 +34,9 @@ def test_a_walk_by_the_true_pose_keeps_to_the_edge_and_its_skin_remembers(tmp_pa
     trajectories, contour = follow_contour(
         TASK, TACTIP_331, SETTINGS, METHODS, tmp_path / "disk.npz"
     )
-    assert (
-        (trajectories.end == LATE).all()
-        and trajectories.steps == 16
-        and not trajectories.failed_contacts.any()
-    )
+    assert (trajectories.end == LATE).all()
+    assert trajectories.steps == 16
+    assert not trajectories.failed_contacts.any()
     assert np.abs(trajectories.true[:, -4:, 0]).max() < 0.3  # mm from the edge
     np.testing.assert_allclose(trajectories.way_mm, 15 * 0.5, atol=1.0)
     # friction drags the skin against the way: along the edge, y of the sensor frame
@@ -115,9 +113,10 @@ def test_a_walk_around_an_outline_of_ones_own_closes_and_is_found_again(tmp_path
     assert load_trajectories(tmp_path / "coin.npz")[0] == task
     assert trajectories.end[0] == CLOSED and trajectories.way_mm[0] >= contour.length
     row = score_trajectories(trajectories, contour, "coin")[0]
-    assert (
-        row.closed == 1 and row.completed == 1 and row.mean_mm < 0.5 and row.ends == {"closed": 1}
-    )
+    assert row.closed == 1
+    assert row.completed == 1
+    assert row.mean_mm < 0.5
+    assert row.ends == {"closed": 1}
 
 
 def test_starts_are_spread_and_the_same_for_a_seed():

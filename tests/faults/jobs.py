@@ -15,7 +15,7 @@ from jaxunshear.evaluation.measurements import select_reproducible
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.training.checkpoint import compute_weights_digest
+from jaxunshear.training.checkpoint import compute_weights_digest, load_best
 from tests.faults.outcome import compute_array_digest, compute_digest, run_command
 from tests.faults.places import PINS, RECORDED, ROOT, TINY, Places
 from tests.helpers.reproducible import select_results, select_sweep
@@ -103,7 +103,7 @@ def _read_sets(work: Path) -> object:
 
 
 def _read_weights(work: Path) -> object:
-    return compute_weights_digest(work / "tiny" / "posenet")
+    return compute_weights_digest(load_best(work / "tiny" / "posenet"))
 
 
 def _score(name: str) -> Callable[[Path], object]:

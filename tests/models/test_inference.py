@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.inference.forward import jit_for_inference
 from jaxunshear.models import posenet, unshearnet
-from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.training.trainer import get_compile_options
 
 UNSHEAR = UnshearNet(size=32, widths=(4, 8, 8), pose_channels=6, shear_channels=5)

@@ -10,6 +10,7 @@ import pytest
 from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.errors import Note, UserError
 from jaxunshear.models import distances, pin_networks
+from jaxunshear.models.pin_networks import make_grid
 from jaxunshear.models.reconstruction import measure_disagreement
 from tests.helpers.gradients import list_taught_parts
 
@@ -48,11 +49,14 @@ def test_shapes_and_batches(jit, changes):
     assert pin_networks.decode_sheared(net, variables, z_p, z_s).shape == pins.shape
 
 
-def test_released_weights_give_the_pose_code_and_say_so():
-    net, variables = made(PinUnshear)
-    released = variables | {
-        "params": {n: v for n, v in variables["params"].items() if n not in ("shear", "DS")}
-    }
+@pytest.mark.parametrize("apart", [False, True])
+def test_released_weights_give_the_pose_code_and_say_so(apart):
+    net, variables = made(PinUnshear, apart=apart)
+    params = variables["params"]
+    kept = {name: params[name] for name in params if name not in ("shear", "DS", "ES")}
+    released = variables | {"params": kept}
+    unsheared = (pin_networks.unshear(net, each, moved()) for each in (released, variables))
+    np.testing.assert_array_equal(*unsheared)
     with pytest.warns(Note, match="z_p alone"):
         z_p, z_s = pin_networks.encode(net, released, moved())
     full, other = pin_networks.encode(net, variables, moved())
@@ -221,11 +225,39 @@ def test_a_difference_in_a_narrow_direction_costs_as_much_as_in_a_wide_one():
     assert float(narrow.mean()) > 0.3
 
 
-def test_released_weights_of_codes_apart_give_the_pose_code():
-    net, variables = made(PinUnshear, apart=True)
-    released = variables | {
-        "params": {n: v for n, v in variables["params"].items() if n not in ("shear", "DS", "ES")}
-    }
-    np.testing.assert_array_equal(
-        pin_networks.unshear(net, released, moved()), pin_networks.unshear(net, variables, moved())
-    )
+def hexagon(rings, spacing=7.0, middle=(64.0, 60.0)):
+    steps = range(-rings, rings + 1)
+    axial = np.array([(a, b) for a in steps for b in steps if abs(a + b) <= rings])
+    return np.asarray(middle) + spacing * axial @ np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
+
+
+def places(rest, side):
+    low, high = rest.min(axis=0), rest.max(axis=0)
+    return np.stack(np.meshgrid(*np.linspace(low, high, side).T), -1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("rings", [6, 10])  # 127 pins, and 331
+def test_the_grid_is_as_fine_as_the_pins(rings):
+    rest = hexagon(rings)
+    grid = make_grid(rest)
+    assert grid.shape == (len(rest), (2 * rings) ** 2) and grid.dtype == np.float32
+    inside = grid.any(axis=0)
+    assert 0.6 < inside.mean() < 0.9  # a hexagon's share of the square about it
+    np.testing.assert_allclose(
+        grid.sum(axis=0)[inside], 1, atol=1e-5
+    )  # a shift of all pins is that shift everywhere
+
+
+def test_a_smooth_field_comes_out_at_its_places():
+    rest = hexagon(10)
+    at, grid = places(rest, 20), make_grid(rest)
+    inside = grid.any(axis=0)
+
+    def field(xy):
+        return np.sin(xy[:, 0] / 30) + 0.02 * xy[:, 1]
+
+    error = np.abs(field(rest) @ grid - field(at))[inside]
+    beside = (
+        np.linalg.norm(at[inside][:, None] - rest, axis=-1).min(axis=1) < 0.6 * 7.0
+    )  # others are beyond the last pins
+    assert error[beside].max() < 0.04 and error.max() < 0.2

@@ -35,14 +35,6 @@ def test_images_come_out_as_large_as_they_went_in(widths):
     assert jax.tree.structure(statistics) == jax.tree.structure(variables["batch_stats"])
 
 
-def test_jit_changes_nothing():
-    variables = init(NET, jax.random.key(0))
-    plain = registry.unshear(NET, variables, images())
-    np.testing.assert_allclose(
-        jax.jit(registry.unshear, static_argnums=0)(NET, variables, images()), plain, atol=1e-6
-    )
-
-
 def test_skips_keep_every_pixel_in_its_place():
     """A dot moves the output only near itself in the last layer's skip: with all other paths cut, far pixels stay."""
     start = init(NET, jax.random.key(1))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from jaxunshear.simulator.elasticity import (
     Pins,
@@ -9,6 +10,7 @@ from jaxunshear.simulator.elasticity import (
     compute_isotropic_stiffness,
     compute_response,
     compute_ring_loads,
+    factorise,
     sum_harmonics,
 )
 from jaxunshear.simulator.mesh import compute_shape_functions, make_dome_mesh
@@ -94,9 +96,8 @@ def load_dome(h, force):
 def test_finer_meshes_agree_ever_better():
     force, sizes = [0.5, 0.0, 1.0], (1.5, 0.75, 0.4)
     nodes, pins = load_dome(0.25, force)
-    assert np.all(nodes.reshape(-1, 3)[0, [0, 2]] > 0) and np.all(
-        pins.reshape(-1, 3)[0, [0, 2]] > 0
-    )
+    assert np.all(nodes.reshape(-1, 3)[0, [0, 2]] > 0)
+    assert np.all(pins.reshape(-1, 3)[0, [0, 2]] > 0)
     errors = [
         (np.linalg.norm(w - nodes) / np.linalg.norm(nodes), np.linalg.norm(g - pins))
         for w, g in (load_dome(h, force) for h in sizes)
@@ -114,3 +115,35 @@ def test_flat_punch_stiffness(half_space):
     force = np.linalg.solve(w, np.full(len(inside), 1e-3))
     radius = 0.9 + 0.09 / 2  # the last ring's hat reaches half a spacing beyond it
     assert force.sum() == pytest.approx(2 * radius * half_space.normal_modulus * 1e-3, rel=0.05)
+
+
+def band(count: int, seed: int = 0) -> sp.csr_matrix:
+    """Positive definite, with couplings up to 40 apart, shuffled."""
+    generator = np.random.default_rng(seed)
+    half = sp.random(count, count, density=0.1, rng=generator).tocoo()
+    near = np.abs(half.row - half.col) < 40
+    half = sp.csr_matrix(
+        (half.data[near] - 0.5, (half.row[near], half.col[near])), shape=half.shape
+    )
+    order = generator.permutation(count)
+    return (half @ half.T + 0.1 * sp.eye(count)).tocsr()[order][:, order]
+
+
+@pytest.mark.parametrize("count", [1, 7, 64, 500])
+def test_it_solves(count):
+    matrix = band(count)
+    right = np.random.default_rng(1).normal(size=(count, 3))
+    np.testing.assert_allclose(
+        factorise(matrix)(right), np.linalg.solve(matrix.toarray(), right), rtol=1e-8, atol=1e-9
+    )
+
+
+def test_parts_that_do_not_couple():
+    matrix = sp.block_diag([band(100), band(90, 1)]).tocsr()
+    right = np.ones((190, 1))
+    np.testing.assert_allclose(matrix @ factorise(matrix)(right), right, atol=1e-9)
+
+
+def test_a_matrix_that_is_not_definite_is_refused():
+    with pytest.raises(np.linalg.LinAlgError):
+        factorise((band(200) - 10 * sp.eye(200)).tocsr())

@@ -5,18 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.simulator.admm import BETWEEN_CHECKS, Solver
 from jaxunshear.simulator.contact_problem import (
+    RHO,
     ContactProblem,
     Skin,
     System,
     count_node_states,
     make_undeformed_skins,
+    project,
 )
-from jaxunshear.simulator.frame import compute_level_frame
-from jaxunshear.simulator.friction import follow_path
-from jaxunshear.simulator.increment import RHO, project
-from jaxunshear.simulator.obstacle import Obstacles
+from jaxunshear.simulator.friction import BETWEEN_CHECKS, Solver, follow_path
+from jaxunshear.simulator.paths import compute_level_frame
+from jaxunshear.simulator.stimuli import Obstacles
 from verification.half_space import make_press_poses, trace_forces
 from verification.normal_contact import SPHERE_MM, compute_hertz_depth
 from verification.tangential_contact import FRICTION, compute_slip_distance

@@ -10,7 +10,7 @@ import pytest
 
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
-from jaxunshear.simulator.contact_problem import ContactProblem, System, make_undeformed_skins
+from jaxunshear.simulator.contact_problem import RHO, ContactProblem, System, make_undeformed_skins
 from jaxunshear.simulator.gradient import (
     SWITCH_MM,
     PinPositions,
@@ -19,11 +19,10 @@ from jaxunshear.simulator.gradient import (
     simulate_pins,
 )
 from jaxunshear.simulator.implicit import GOAL_MM, compute_pin_state
-from jaxunshear.simulator.increment import RHO
 from jaxunshear.simulator.level import LEVELS
-from jaxunshear.simulator.obstacle import Obstacles
 from jaxunshear.simulator.paths import Paths, cut_increments
 from jaxunshear.simulator.simulate import follow
+from jaxunshear.simulator.stimuli import Obstacles
 from verification.normal_contact import SPHERE_MM, compute_hertz_depth, compute_hertz_load
 from verification.tangential_contact import FRICTION as MU
 from verification.tangential_contact import compute_slip_distance
@@ -243,9 +242,8 @@ def special_found(special, special_model):
 def test_no_contact_has_no_derivative(special_found):
     slopes = special_found.d_points, special_found.d_friction, special_found.d_log_ratio
     assert not any(np.any(slope[:2]) for slope in slopes)
-    assert (
-        special_found.positions.is_solved.all() and not special_found.positions.at_switch[:2].any()
-    )
+    assert special_found.positions.is_solved.all()
+    assert not special_found.positions.at_switch[:2].any()
     # the apex' gap after the first of three increments
     assert special_found.positions.margin_mm[1] == pytest.approx(0.01 / 3)
 

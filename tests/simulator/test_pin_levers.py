@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.simulator.mesh import make_dome_mesh
-from jaxunshear.simulator.pin_levers import PinLevers, compute_interpolation
+from jaxunshear.simulator.mesh import PinLevers, compute_interpolation, make_dome_mesh
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from jaxunshear.config.sensor import TACTIP_331, TACTIP_331_FITTED
 from jaxunshear.errors import UserError
-from jaxunshear.simulator.contact_results import compute_indentation
+from jaxunshear.simulator.contacts import compute_indentation
 from jaxunshear.simulator.level import LEVELS
 from jaxunshear.simulator.paths import Paths, make_paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips

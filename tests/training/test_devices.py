@@ -1,16 +1,19 @@
 """A step over two devices is the step over one: tried on virtual ones, in a process of its own."""
 
+import contextlib
+import itertools
 import json
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 from jaxunshear import environment
 from jaxunshear.errors import UserError
-from jaxunshear.training.devices import get_devices
+from jaxunshear.training.devices import get_devices, prefetch
 
 SCRIPT = """
 import sys, dataclasses, os
@@ -87,3 +90,26 @@ def test_an_uneven_batch_is_refused(monkeypatch):
 def test_all_of_one_is_one(monkeypatch):
     monkeypatch.setenv(environment.DEVICE_COUNT, "all")
     assert get_devices(3) == (1, None)
+
+
+def test_in_order_and_one_ahead_in_a_thread_of_their_own():
+    drawn, threads = [], set()
+
+    def put(number):
+        drawn.append(number)
+        threads.add(threading.get_ident())
+        return -number
+
+    with contextlib.closing(prefetch(itertools.count(), put)) as stream:
+        assert list(itertools.islice(stream, 5)) == [0, -1, -2, -3, -4]
+    assert drawn == [0, 1, 2, 3, 4, 5]
+    assert len(threads) == 1
+    assert threading.get_ident() not in threads
+    assert not any(thread.ident in threads for thread in threading.enumerate())
+
+
+def test_what_drawing_raises_comes_after_the_batches_before_it():
+    stream = prefetch((1 / (3 - number) for number in itertools.count()), float)
+    assert [next(stream) for _ in range(3)] == [1 / 3, 1 / 2, 1.0]
+    with pytest.raises(ZeroDivisionError):
+        next(stream)

@@ -7,8 +7,8 @@ import pytest
 
 from jaxunshear.config.sensor import TACTIP_127
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
-from jaxunshear.training import domain_randomisation
-from jaxunshear.training.domain_randomisation import MOTION_FACTOR, make_randomisation
+from jaxunshear.training import augmentation
+from jaxunshear.training.augmentation import MOTION_FACTOR, make_randomisation
 
 FLAT = compute_pin_lattice(TACTIP_127)
 REST = 48 + 36 * FLAT / np.linalg.norm(FLAT, axis=-1).max()
@@ -50,15 +50,12 @@ def test_the_edges_direction_turns_with_the_pins(jit):
     given, draw = batch(), make_randomisation(REST, 1.0)
     turned = (jax.jit(draw) if jit else draw)(given, jax.random.key(3))
     by = np.asarray(turned["edge"][:, 1] - given["edge"][:, 1])
-    assert (
-        wrapped(by - by[0]).max() < 1e-3
-        and wrapped(by[0] / 15 % 1 * 15).max() < 1e-2
-        and wrapped(by[0]) > 1
-    )
+    assert wrapped(by - by[0]).max() < 1e-3
+    assert wrapped(by[0] / 15 % 1 * 15).max() < 1e-2
+    assert wrapped(by[0]) > 1
     assert np.array_equal(turned["edge"][:, 0], given["edge"][:, 0])
-    assert np.all(np.asarray(turned["edge"][:, 1]) <= 180) and np.all(
-        np.asarray(turned["edge"][:, 1]) > -180
-    )
+    assert np.all(np.asarray(turned["edge"][:, 1]) <= 180)
+    assert np.all(np.asarray(turned["edge"][:, 1]) > -180)
     expected = touch(np.asarray(turned["edge"][:, 1], np.float64))
     size = np.sqrt(np.mean((expected - REST) ** 2))
     assert np.sqrt(np.mean((turned["canonical_pins"] - expected) ** 2)) < 0.1 * size
@@ -66,7 +63,7 @@ def test_the_edges_direction_turns_with_the_pins(jit):
 
 def test_a_slide_drags_further_or_less_and_its_tap_stays_one(monkeypatch):
     for deviation in ("TURNED_DEG", "SHIFTED"):
-        monkeypatch.setattr(domain_randomisation, deviation, 0.0)
+        monkeypatch.setattr(augmentation, deviation, 0.0)
     given, draw = batch(), make_randomisation(REST, 1.0)
 
     def length(b):
@@ -75,11 +72,9 @@ def test_a_slide_drags_further_or_less_and_its_tap_stays_one(monkeypatch):
     times = np.concatenate(
         [length(draw(given, jax.random.key(i))) / length(given) for i in range(20)]
     )
-    assert (
-        times.min() > 0.9 * MOTION_FACTOR[0]
-        and times.max() < 1.1 * MOTION_FACTOR[1]
-        and np.ptp(times) > 1
-    )
+    assert times.min() > 0.9 * MOTION_FACTOR[0]
+    assert times.max() < 1.1 * MOTION_FACTOR[1]
+    assert np.ptp(times) > 1
     assert np.median(times) == pytest.approx(
         1, abs=0.15
     )  # as many fall short of the simulator as go farther
@@ -100,9 +95,7 @@ def test_the_camera_moves_slides_and_not_the_taps_they_are_unsheared_to():
     mean = np.asarray(drawn["sheared_pins"] - drawn["canonical_pins"]).mean(axis=1)
     still = np.asarray(given["sheared_pins"] - given["canonical_pins"]).mean(axis=1)
     spacing = 36 / TACTIP_127.rings
-    assert (
-        0.5 < mean.std() / np.hypot(still.std() * 1.5, domain_randomisation.SHIFTED * spacing) < 2
-    )
+    assert 0.5 < mean.std() / np.hypot(still.std() * 1.5, augmentation.SHIFTED * spacing) < 2
     np.testing.assert_allclose(
         np.asarray(drawn["canonical_pins"]).mean(axis=1).std(),
         np.asarray(given["canonical_pins"]).mean(axis=1).std(),

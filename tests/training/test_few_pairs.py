@@ -93,10 +93,8 @@ def test_training_and_validation_have_the_share_and_the_test_has_all():
         np.flatnonzero(mask).tolist()
     )
     for batch in seen:  # a slide takes any tap of its own pose
-        tap, slide = (
-            batch["canonical_pins"][:, 0, 0].astype(int),
-            batch["sheared_pins"][:, 0, 0].astype(int),
-        )
+        tap = batch["canonical_pins"][:, 0, 0].astype(int)
+        slide = batch["sheared_pins"][:, 0, 0].astype(int)
         np.testing.assert_array_equal(POSE[tap], POSE[slide])
         np.testing.assert_array_equal(STIMULUS[tap], STIMULUS[slide])
 

@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.configs import compute_fingerprint
-from jaxunshear.config.data import Recorded, RecordedTaps
+from jaxunshear.config.data import PairedData, Recorded, RecordedTaps
 from jaxunshear.config.experiment import Experiment, list_further_tests
+from jaxunshear.config.network_config import resolve_network
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
 from jaxunshear.model_folders import RELEASED, load_settings
 from jaxunshear.models import unshearnet
 from jaxunshear.training import checkpoint, trainer
-from jaxunshear.training.initial_weights import (
+from jaxunshear.training.provenance import (
     InitialWeights,
+    check_origin,
     check_unseen,
     list_training_digests,
     replace_weights,
@@ -38,10 +41,8 @@ def tree(value, **shapes):
 def test_what_both_have_is_taken_and_nothing_else():
     found = replace_weights(tree(0.0, E=(2, 3), DS=(4,)), tree(1.0, E=(2, 3), other=(5,)))
     assert jax.tree.map(np.shape, found) == jax.tree.map(np.shape, tree(0.0, E=(2, 3), DS=(4,)))
-    assert (
-        float(found["params"]["E"]["kernel"].min()) == 1
-        and float(found["params"]["DS"]["kernel"].max()) == 0
-    )
+    assert float(found["params"]["E"]["kernel"].min()) == 1
+    assert float(found["params"]["DS"]["kernel"].max()) == 0
 
 
 @pytest.mark.parametrize(
@@ -173,3 +174,15 @@ def test_a_training_goes_on_from_released_weights_and_knows_which(tmp_path):
     assert "start" not in json.loads((tmp_path / "fresh" / "model.json").read_text())
     with pytest.raises(UserError, match="start = of these, now others"):
         trained(tmp_path / "started", InitialWeights(released, "others"))
+
+
+def test_a_network_of_other_data_is_refused(tmp_path):
+    own = open_source(SIMULATED).describe_origin(resolve_network(SIMULATED, "disentangled"))
+    write_json(tmp_path / "disentangled" / "model.json", {"origin": own})
+    check_origin(SIMULATED, "disentangled", tmp_path)
+    other = replace(SIMULATED, paired=PairedData(seed=7))
+    with pytest.raises(UserError, match=r"another settings\.seed: give another --out"):
+        check_origin(other, "disentangled", tmp_path)
+    write_json(tmp_path / "disentangled" / "model.json", {"origin": own | {"version": "2.4.0"}})
+    with pytest.raises(UserError, match="another version"):
+        check_origin(SIMULATED, "disentangled", tmp_path)

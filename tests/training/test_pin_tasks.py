@@ -13,7 +13,7 @@ from jaxunshear.data.reader import OTHER, SWAPPED
 from jaxunshear.models.distances import compute_pin_distance
 from jaxunshear.models.pin_networks import encode, predict, unshear
 from jaxunshear.models.registry import InitFacts
-from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
+from jaxunshear.training.examples import ANOTHER, ONE, TAPS
 from jaxunshear.training.tasks import (
     PinAugmentation,
     Supervision,
@@ -91,11 +91,9 @@ def test_taps_without_a_slide_come_out_as_they_went_in():
 def test_two_slides_to_one_pose_are_unsheared_alike():
     net = PinUnshear(**SMALL)
     task = make_unshear_task(net, name_losses(consistency=2.0), facts=FACTS)
-    variables, pins, other = (
-        task.init(KEY),
-        batch(3)["sheared_pins"][:2],
-        batch(4)["sheared_pins"][:2],
-    )
+    variables = task.init(KEY)
+    pins = batch(3)["sheared_pins"][:2]
+    other = batch(4)["sheared_pins"][:2]
     named = task.terms(variables, batch() | {ONE: pins, ANOTHER: other}, KEY)[0]
     wanted = compute_pin_distance(
         unshear(net, variables, pins), unshear(net, variables, other), variables

@@ -9,7 +9,7 @@ import pytest
 from jaxunshear.config.targets import make_label_targets
 from jaxunshear.errors import UserError
 from jaxunshear.models.posenet import scale_poses
-from jaxunshear.training.rotation import (
+from jaxunshear.training.augmentation import (
     ANGLES,
     find_rotation_sense,
     make_rotations,

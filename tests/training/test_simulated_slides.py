@@ -82,10 +82,8 @@ def test_each_slide_has_its_own_tap(stored, simulator, tmp_path):
         own = int(np.argmin(np.abs(taps["pins"] - pins).sum((1, 2))))
         np.testing.assert_array_equal(taps["pose"][own], pose)
     assert len(set(pairs["pose_id"].tolist())) == len(pairs["pose"])  # none is paired anew
-    assert (
-        np.abs(pairs["move"][:, :2]).max() <= simulated_slides.SLIDE_MM
-        and not pairs["move"][:, 2].any()
-    )
+    assert np.abs(pairs["move"][:, :2]).max() <= simulated_slides.SLIDE_MM
+    assert not pairs["move"][:, 2].any()
     assert pairs["sheared"].shape == pairs["canonical"].shape == (16, SIZE, SIZE, 1)
     assert (pairs["sheared"] != pairs["canonical"]).any(axis=(1, 2, 3)).all()
     assert "canonical" not in next(

@@ -75,10 +75,8 @@ def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher, net):
 
 
 def test_its_gradient_reaches_what_makes_the_image_and_nothing_else(teacher):
-    task, batch = (
-        make_unshear_task(small.NET, BY_TAP, Supervision(small.TARGETS, teacher=teacher)),
-        small.pair(3, 4),
-    )
+    task = make_unshear_task(small.NET, BY_TAP, Supervision(small.TARGETS, teacher=teacher))
+    batch = small.pair(3, 4)
     gradient = gradient_of(task, jax.jit(task.init)(jax.random.key(0)), batch, "pose_tap")
     largest = {
         name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part))
@@ -100,12 +98,10 @@ def test_without_weight_the_teacher_is_never_asked():
     assert set(validated) == {"supervised", "reconstruction"}
 
 
-def test_against_labels_the_tap_does_not_enter(teacher):
+def test_against_labels_it_is_the_distance_of_the_true_pose(teacher):
     net = small.NET
-    task, batch = (
-        make_unshear_task(net, BY_LABEL, Supervision(small.TARGETS, teacher=teacher)),
-        with_poses(small.pair(3, 4)),
-    )
+    task = make_unshear_task(net, BY_LABEL, Supervision(small.TARGETS, teacher=teacher))
+    batch = with_poses(small.pair(3, 4))
     variables = jax.jit(task.init)(jax.random.key(0))
     image = jax.jit(unshear, static_argnums=0)(
         net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255
@@ -114,17 +110,6 @@ def test_against_labels_the_tap_does_not_enter(teacher):
     expected = distances.compute_pose_loss(jax.jit(teacher)(image), targets, WEIGHTS)
     np.testing.assert_allclose(
         jax.jit(task.validate)(variables, batch)["pose_label"], expected, rtol=1e-5
-    )
-    terms = jax.jit(task.terms)
-    trained, other = (
-        terms(variables, given, jax.random.key(2))[0]
-        for given in (batch, batch | {"canonical": batch["canonical"][::-1]})
-    )
-    np.testing.assert_array_equal(trained["pose_label"], other["pose_label"])
-    assert np.all(trained["supervised"] != other["supervised"])
-    moved = batch | {"pose": batch["pose"] + np.array([1, 0, 0, 0])}
-    assert np.all(
-        terms(variables, moved, jax.random.key(2))[0]["pose_label"] != trained["pose_label"]
     )
 
 

@@ -90,9 +90,8 @@ def test_summary_log_and_settings(straight):
     }
     assert set(log[0]["validation"]) == {"supervised", "reconstruction"}
     kernels = list_kernels(checkpoint.load_best(folder)["params"])
-    assert set(log[0]["kernels"]) == set(kernels) and all(
-        size > 0 for size in log[0]["kernels"].values()
-    )
+    assert set(log[0]["kernels"]) == set(kernels)
+    assert all(size > 0 for size in log[0]["kernels"].values())
     best = min(log, key=lambda line: line["validation"]["supervised"])
     assert (summary.best_step, summary.best_loss) == (
         best["step"],
@@ -178,11 +177,9 @@ def test_a_diverging_training_leaves_the_checkpoint_of_an_undisturbed_one(tmp_pa
     with pytest.raises(UserError) as stop:
         unshear(tmp_path / "diverged", training=DIVERGING)
     line = str(stop.value)
-    assert (
-        "step 4 is kept" in line
-        and "whose numbers are 0 to 255" in line
-        and "lower learning_rate" in line
-    )
+    assert "step 4 is kept" in line
+    assert "whose numbers are 0 to 255" in line
+    assert "lower learning_rate" in line
     with pytest.raises(Stop):
         unshear(tmp_path / "sound", lambda start: stopped(small.pair, start, 6), training=DIVERGING)
     assert (
@@ -206,9 +203,8 @@ def test_weights_thrown_away_by_the_step_before_a_checkpoint_are_not_kept(tmp_pa
         UserError, match=r"stopped: params\S+ not finite at step 8, of batch 7 .*step 4 is kept"
     ):
         unshear(tmp_path, training=overflowing)
-    assert checkpoint.find_latest_step(tmp_path) == 4 and [
-        line["step"] for line in lines(tmp_path)
-    ] == [4]
+    assert checkpoint.find_latest_step(tmp_path) == 4
+    assert [line["step"] for line in lines(tmp_path)] == [4]
 
 
 def test_a_validation_that_is_never_finite_is_no_result(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.contacts import Contacts
 from verification import stability
 from verification.contact_case import HALF_SIZE, Case, make_motion, make_path_case
 from verification.contact_cases import list_cases

@@ -14,7 +14,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.metrics import images as metrics
 from jaxunshear.models import distances
 from jaxunshear.training import checkpoint
-from jaxunshear.training.finite_check import check_state
+from jaxunshear.training.monitor import check_state
 from verification import network_steps, network_trainings, network_values, stability
 from verification import stability_networks as judge
 from verification.network_images import (

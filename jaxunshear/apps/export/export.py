@@ -32,7 +32,7 @@ from jaxunshear.output_checks import check_new_folder
 from jaxunshear.protected_folders import check_outside
 
 if TYPE_CHECKING:
-    from jaxunshear.apps.export.frames import ExportCamera
+    from jaxunshear.apps.export.onnx_graph import ExportCamera
 
 ONNX, STABLEHLO = ".onnx", ".stablehlo"
 EXTRA = "pip install -c constraints.txt '.[onnx]'"
@@ -66,8 +66,7 @@ def export_model(
     _check_extra(out.suffix)
     parts = load_exported_model(model)
     if out.suffix == ONNX:
-        camera = _read_camera(model, preprocess) if preprocess else None
-        data, difference = _export_onnx(parts, model, batch, camera)
+        data, difference = _export_onnx(parts, model, batch, preprocess)
     else:
         data, difference = _export_stablehlo(parts, batch)
     if not difference <= MAX_DIFFERENCE:
@@ -107,18 +106,13 @@ def _check_extra(suffix: str) -> None:
         raise UserError(f"a file that ends in {suffix} needs {error.name}: {EXTRA}") from None
 
 
-def _read_camera(model: TrainedModel, frames: Path) -> "ExportCamera":
-    from jaxunshear.apps.export.frames import read_camera
-
-    return read_camera(frames, model.preprocess, model.view)
-
-
 def _export_onnx(
-    parts: ExportedModel, model: TrainedModel, batch: int | None, camera: "ExportCamera | None"
+    parts: ExportedModel, model: TrainedModel, batch: int | None, preprocess: Path | None
 ) -> tuple[bytes, float]:
-    from jaxunshear.apps.export.frames import preprocess_frames
     from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
+    from jaxunshear.apps.export.onnx_graph import preprocess_frames, read_camera
 
+    camera = read_camera(preprocess, model.preprocess, model.view) if preprocess else None
     data = build_onnx(parts, batch, camera, _make_metadata(parts, model, camera))
     run = make_onnx_runner(data, parts)
     if camera is None:

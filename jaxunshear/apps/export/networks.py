@@ -167,13 +167,9 @@ def _add_trunk(graph: OnnxGraph, net: PinNet, params: Variables, x: str) -> str:
 
 
 def _add_grid_trunk(
-    graph: OnnxGraph,
-    net: PinNet,
-    variables: Variables,
-    params: Variables,
-    motions: str,
+    graph: OnnxGraph, net: PinNet, variables: Variables, params: Variables, motions: str
 ) -> str:
-    """Add the nodes of `pin_grid.GridTrunk`, channels first except in normalisation."""
+    """Add the nodes of `pin_networks.GridTrunk`, channels first except in normalisation."""
     grid = _to_float32(variables["batch_stats"]["grid"])
     side = math.isqrt(grid.shape[1])
     by_pin = graph.add("Reshape", motions, np.array([-1, len(grid), 2]))
@@ -205,15 +201,9 @@ def _add_grid_trunk(
 
 
 def _add_layer_norm(graph: OnnxGraph, norm: Variables, x: str) -> str:
-    """Add normalisation over the last axis, and GELU."""
+    """Add normalisation over the last axis, and GELU by tanh, as Flax computes it."""
     scale, bias = _to_float32(norm["scale"]), _to_float32(norm["bias"])
-    epsilon = LAYER_NORM_EPSILON
-    normalised = graph.add("LayerNormalization", x, scale, bias, axis=-1, epsilon=epsilon)
-    return _add_gelu(graph, normalised)
-
-
-def _add_gelu(graph: OnnxGraph, x: str) -> str:
-    """Add GELU by tanh, as Flax computes it."""
+    x = graph.add("LayerNormalization", x, scale, bias, axis=-1, epsilon=LAYER_NORM_EPSILON)
     cubed = graph.add("Mul", graph.add("Mul", graph.add("Mul", x, x), x), np.float32(0.044715))
     inner = graph.add("Mul", graph.add("Add", x, cubed), np.float32(np.sqrt(2 / np.pi)))
     weight = graph.add("Add", graph.add("Tanh", inner), np.float32(1))

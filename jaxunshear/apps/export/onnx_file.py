@@ -3,9 +3,8 @@
 import numpy as np
 import onnxruntime
 
-from jaxunshear.apps.export import frames, networks
-from jaxunshear.apps.export.frames import ExportCamera
-from jaxunshear.apps.export.onnx_graph import BYTE, FLOAT, OnnxGraph
+from jaxunshear.apps.export import networks, onnx_graph
+from jaxunshear.apps.export.onnx_graph import BYTE, FLOAT, ExportCamera, OnnxGraph
 from jaxunshear.apps.export.parts import ExportedModel, Run
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.files import Json
@@ -25,8 +24,8 @@ def build_onnx(
     name, shape = ("image" if images else "pins"), parts.shape
     count: int | str = "batch" if batch is None else batch
     if camera is not None:
-        white = frames.add_preprocessing(graph, camera, "frame")
-        graph.add_output("image", frames.add_uint8_cast(graph, white), (count, *shape), BYTE)
+        white = onnx_graph.add_preprocessing(graph, camera, "frame")
+        graph.add_output("image", onnx_graph.add_uint8_cast(graph, white), (count, *shape), BYTE)
         name, shape = "frame", camera.frames.shape[1:]
         inputs = graph.add("Cast", white, to=FLOAT)
     elif images:

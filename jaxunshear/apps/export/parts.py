@@ -24,7 +24,7 @@ from jaxunshear.inference.forward import (
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models import posenet
 from jaxunshear.models.registry import predict, unshear
-from jaxunshear.training.trained_network import TrainedNetwork
+from jaxunshear.training.checkpoint import TrainedNetwork
 
 Run = Callable[[np.ndarray], Json]
 Prepare = Callable[[np.ndarray], np.ndarray]

@@ -1,7 +1,6 @@
 """Perception for a robot: a frame in; unsheared image, pose and confidence out, as a JSON line.
 
-A frame that cannot be used, or is not
-understood, is reported and counted, and the next one comes.
+A frame that cannot be used, or is not understood, is reported and counted, and the next one comes.
 """
 
 import base64

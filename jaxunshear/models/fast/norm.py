@@ -124,8 +124,9 @@ def _compute_line(scale: Array, bias: Array, mean: Array, variance: Array) -> tu
 def _moments_by_xla(x: Array, *, source: str) -> tuple[Array, Array]:
     """Compute mean and mean squared deviation of the pixels inside, (C,) each."""
     images, count = _flatten_pixels(x), _count_pixels(x, source)
-    mean = _sum_inside(images, x, source) / count
-    return mean, _sum_inside((images - _widen(mean, source)) ** 2, x, source) / count
+    mean = _sum_pixels(jnp.sum(images, 0), x, source) / count
+    squares = (images - _widen(mean, source)) ** 2
+    return mean, _sum_pixels(jnp.sum(squares, 0), x, source) / count
 
 
 def _affine_relu_by_xla(
@@ -238,11 +239,6 @@ def _widen(channels: Array, source: str) -> Array:
         four_times = jnp.asarray(np.tile(np.eye(len(channels)), 4), channels.dtype)
         channels = _multiply_exactly(channels, four_times)
     return channels[None, None]
-
-
-def _sum_inside(images: Array, x: Array, source: str) -> Array:
-    """Sum `images` (B, pixels, channels), in the layout of x, over images and pixels inside."""
-    return _sum_pixels(jnp.sum(images, 0), x, source)
 
 
 def _sum_both_over_images(a: Array, b: Array) -> tuple[Array, Array]:

@@ -16,16 +16,20 @@ from jaxunshear.apps.explore.drawing import (
     to_px,
     trace_outlines,
 )
-from jaxunshear.apps.explore.explorer import SHEARED, TAP, TRUE, UNSHEARED, make_explorer
-from jaxunshear.apps.explore.touch import (
+from jaxunshear.apps.explore.explorer import (
     DEEPEST_MM,
     FREE,
     LEVEL,
+    SHEARED,
     SLIPPING,
     STUCK,
+    TAP,
+    TRUE,
+    UNSHEARED,
     Touch,
     compute_skin_state,
     list_warmup_touches,
+    make_explorer,
     simulate_touch,
 )
 from jaxunshear.config.reach import compute_max_depth_mm
@@ -165,9 +169,8 @@ def test_places_go_there_and_back(touch, picture):
 def test_what_is_made_ready_reaches_as_deep_as_the_page():
     sensor = SENSORS["tactip331-fitted"]
     touches = list_warmup_touches(sensor, 0.4)
-    assert 10 < len(touches) < 20 and touches[-1].pose[3] == DEEPEST_MM < compute_max_depth_mm(
-        sensor
-    )
+    assert 10 < len(touches) < 20
+    assert touches[-1].pose[3] == DEEPEST_MM < compute_max_depth_mm(sensor)
 
 
 @pytest.mark.long

@@ -16,8 +16,8 @@ from PIL import Image
 
 from jaxunshear import load_model
 from jaxunshear.apps.export.export import build_stablehlo
-from jaxunshear.apps.export.frames import preprocess_frames, read_camera
 from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
+from jaxunshear.apps.export.onnx_graph import preprocess_frames, read_camera
 from jaxunshear.apps.export.parts import (
     MAX_DIFFERENCE,
     ExportedModel,
@@ -36,10 +36,10 @@ from jaxunshear.files import write_json
 from jaxunshear.inference.forward import make_forward
 from jaxunshear.model_folders import RELEASED
 from jaxunshear.models import pin_networks, posenet, unshearnet
-from jaxunshear.models.pin_grid import make_grid
+from jaxunshear.models.pin_networks import make_grid
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.training import checkpoint
-from jaxunshear.training.trained_network import TrainedNetwork
+from jaxunshear.training.checkpoint import TrainedNetwork
 from tests.helpers.models import write_network
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -180,10 +180,8 @@ def test_frames_are_prepared_in_the_file(tmp_path, kind, box):
 
 
 def test_frames_prepared_otherwise_differ(tmp_path):
-    camera, parts = (
-        read_camera(frames_in(tmp_path / "frames", "grey"), Preprocess(size=SIZE), None),
-        images(),
-    )
+    camera = read_camera(frames_in(tmp_path / "frames", "grey"), Preprocess(size=SIZE), None)
+    parts = images()
     run = make_onnx_runner(build_onnx(parts, None, camera, {}), parts)
     assert (
         measure_difference(
@@ -251,11 +249,9 @@ def test_a_file_says_what_it_is_and_reads_what_the_model_reads(run_dir, model, t
     assert main(["export", str(run_dir), "--out", str(out), "--batch", "2"]) == 0
     session = onnxruntime.InferenceSession(out)
     known = session.get_modelmeta().custom_metadata_map
-    assert (
-        known["size_px"] == "32"
-        and known["pose_of"] == "unsheared"
-        and "simulated" in known["learnt"]
-    )
+    assert known["size_px"] == "32"
+    assert known["pose_of"] == "unsheared"
+    assert "simulated" in known["learnt"]
     names, units = known["names"].split(","), known["units"].split(",")
     assert units == [name.rpartition("_")[2] for name in names] and set(units) == {"mm", "deg"}
     assert session.get_inputs()[0].shape == [2, 32, 32] and known["jaxunshear"]
@@ -280,15 +276,12 @@ def test_skin_takes_pins(tmp_path):
     pins[0, :9] = np.nan
     skin = load_model("skin")
     networks = {name: skin.load_network(name) for name in ("disentangled", "posenet")}
-    nets, weights, learnt = (
-        {name: getattr(network, part) for name, network in networks.items()}
-        for part in ("net", "variables", "targets")
-    )
-    after, pose = jax.jit(make_forward(nets, learnt))(weights, pins)
+    weights = {name: network.variables for name, network in networks.items()}
+    after, pose = jax.jit(make_forward(networks))(weights, pins)
     found = session.run(["unsheared", "pose"], {"pins": pins})
     np.testing.assert_allclose(found[0], after, atol=1e-3)
     np.testing.assert_allclose(
-        found[1].T, [pose[target.name] for target in learnt["posenet"]], atol=1e-3
+        found[1].T, [pose[target.name] for target in networks["posenet"].targets], atol=1e-3
     )
 
 

@@ -150,9 +150,8 @@ def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capf
     writer.release()
     frames, live = open_frames(str(video), Preprocess(), None)
     shown = list(frames)
-    assert not live and [frame.name for frame in shown] == [
-        f"touch.avi {number}" for number in range(4)
-    ]
+    assert not live
+    assert [frame.name for frame in shown] == [f"touch.avi {number}" for number in range(4)]
     left, right = (
         shown[0].pixels[:, half].mean(axis=(0, 1)) for half in (slice(70), slice(90, None))
     )
@@ -196,9 +195,8 @@ def test_folders_are_read_in_order_with_torn_files_among_them(tmp_path):
     (tmp_path / "image_3.png").write_bytes(b"\x89PNG torn")
     frames, live = open_frames(str(tmp_path), Preprocess(), None)
     listed = list(frames)
-    assert not live and [frame.name for frame in listed] == [
-        f"image_{n}.png" for n in (1, 2, 3, 10)
-    ]
+    assert not live
+    assert [frame.name for frame in listed] == [f"image_{n}.png" for n in (1, 2, 3, 10)]
     assert listed[2].pixels is None and listed[2].problem
 
 

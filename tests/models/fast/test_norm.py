@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flax import linen as nn
 
-from jaxunshear.models.fast import compiled_kernels, conv, layers, norm
+from jaxunshear.models.fast import compiled_kernels, conv, networks, norm
 
 LAYOUTS = [(a, b) for a in ("plain", "blocks") for b in compiled_kernels.LAYOUTS]
 WIDE = [("plain", "blocks"), ("blocks", "padded"), ("blocks", "blocks")]  # as networks have them
@@ -203,7 +203,7 @@ def test_constant_channel_stays_finite(channels):
 @pytest.mark.parametrize("source", ["plain", "blocks"])
 def test_running_statistics_follow_the_batch(source, channels):
     x = norm.convert_layout(inputs((2, 6, 6, channels))[0], "plain", source)
-    module = layers.NormRelu(source, "plain")
+    module = networks.NormRelu(source, "plain")
     variables = module.init(jax.random.key(0), x, True)
     np.testing.assert_array_equal(variables["batch_stats"]["mean"], 0)  # init leaves them alone
     scale = variables["params"]["scale"]

@@ -1,12 +1,13 @@
-"""Initial weights, `train.start`: fine-tune weights that have not learnt the tests.
+"""Check what a network learnt from: its data set, and the initial weights of `train.start`.
 
-Loads JAX late.
+Weights that have learnt the tests are refused. Loads JAX late.
 """
 
 from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from jaxunshear.config.configs import list_differences
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import NetworkConfig, resolve_network
 from jaxunshear.config.serialization import OLD_FILES
@@ -94,3 +95,20 @@ def replace_weights(fresh: Json, start: Json) -> Json:
             f"start: {wrong} of these weights fits the network: use that network's settings"
         )
     return tree.unflatten(tree.structure(fresh), (fresh_leaves | start_leaves).values())
+
+
+def check_origin(experiment: Experiment, network: str, run_dir: Path) -> None:
+    """Raise UserError if the trained `network` in `run_dir` learnt from another data set.
+
+    That may be one of an earlier version of the data. Also raises UserError if its model.json
+    cannot be read.
+    """
+    folder = Path(run_dir) / network
+    stored = read_object(folder / "model.json").get("origin") or {}
+    expected = open_source(experiment).describe_origin(resolve_network(experiment, network))
+    changed = list_differences(stored, expected)
+    if changed:
+        raise UserError(
+            f"{folder} learnt from a data set with another {', '.join(changed[:3])}: "
+            "give another --out, or delete that folder"
+        )
