@@ -12,10 +12,10 @@ from functools import partial
 
 import numpy as np
 
-from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.apps.explore.explorer import Explorer, make_explorer
 from jaxunshear.apps.explore.touch import MOST_SLIDE_MM, Touch
 from jaxunshear.config.data import Ranges
+from jaxunshear.environment import keep_freed_memory
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.inference.trained_model import load_model

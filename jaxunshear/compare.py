@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxunshear.config.configs import list_differences
+from jaxunshear.config.serialization import make_distinct_names
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import read_object_if_sound, write_text
-from jaxunshear.model_folders import make_distinct_names
 from jaxunshear.progress import format_duration
 from jaxunshear.report import html, wording
 from jaxunshear.report.history import RETRAIN_REMEDY

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.sensor import TACTIP_127, TACTIP_331
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Preprocess
 from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
 from jaxunshear.data.labels import Problem
 from jaxunshear.data.preprocessing import MIN_FRAMES

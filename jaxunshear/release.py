@@ -8,16 +8,15 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.config.registry import REGISTRY
+from jaxunshear.config.networks import REGISTRY
 from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.config.targets import to_json
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
-from jaxunshear.files import Json, read_object, write_json, write_text
+from jaxunshear.files import Json, read_object, to_builtins, write_json, write_text
 from jaxunshear.results.measurement import Machine
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
-from jaxunshear.serialization import to_builtins
 
 RELEASED_PARTS = {
     name: kind.released_parts for name, kind in REGISTRY.items() if kind.released_parts is not None

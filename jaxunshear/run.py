@@ -13,12 +13,11 @@ from jaxunshear.cluster import CallRunner, run_locally
 from jaxunshear.config import configs
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import resolve_network
-from jaxunshear.config.registry import TRAINABLE
+from jaxunshear.config.networks import TRAINABLE
 from jaxunshear.config.serialization import add_version, from_json, to_json
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
-from jaxunshear.files import Json, read_object, write_json
-from jaxunshear.locks import hold_lock
+from jaxunshear.files import Json, hold_lock, read_object, write_json
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import TIMES, read_times
 from jaxunshear.training.data_origin import check_origin

@@ -9,7 +9,7 @@ import pytest
 TWICE = """
 import resource, jax
 if {keep}:
-    from jaxunshear.allocator import keep_freed_memory
+    from jaxunshear.environment import keep_freed_memory
     keep_freed_memory()
 import jax.numpy as jnp
 @jax.jit

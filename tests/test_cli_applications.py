@@ -9,14 +9,14 @@ from PIL import Image
 
 from jaxunshear.config.data import PairedData, PoseData, Ranges
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.geometry import HEIGHT_METHODS
+from jaxunshear.files import to_builtins
 from jaxunshear.results.applications import TrajectoryScores
 from jaxunshear.results.record_files import SCHEMA, convert_record
-from jaxunshear.serialization import to_builtins
 from tests.helpers.models import init, write_run
 
 TARGETS = make_range_targets((), Ranges())

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.locks import hold_lock
+from jaxunshear.files import hold_lock
 
 HOLD = """
 import sys
 from pathlib import Path
-from jaxunshear.locks import hold_lock
+from jaxunshear.files import hold_lock
 with hold_lock(Path(sys.argv[1]), wait=False) as free:
     print(free, flush=True)
     sys.stdin.read()

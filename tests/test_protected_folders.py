@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.protected_folders import check_outside, find_owner
+from jaxunshear.output_checks import check_outside, find_owner
 
 ROOT = Path(__file__).resolve().parents[1]
 WEIGHTS = ROOT / "jaxunshear" / "weights" / "standard"

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear import model_folders
-from jaxunshear.config import targets
+from jaxunshear.config import serialization, targets
 from jaxunshear.config.data import PairedData, PoseData, Ranges
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.rules import validate
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json, write_json
@@ -187,10 +186,10 @@ def test_damaged_weights_and_those_of_another_network_are_reported(run, tmp_path
 def test_an_unknown_name_lists_those_there_are():
     names = ", ".join(folder.name for folder in RELEASED)
     with pytest.raises(UserError, match=rf"released weights \({names}\)"):
-        model_folders.load_settings(model_folders.find_model_folder(Path("yours")))
+        serialization.load_settings(serialization.find_model_folder(Path("yours")))
 
 
-RELEASED = sorted(path.parent for path in model_folders.RELEASED.glob("*/experiment.json"))
+RELEASED = sorted(path.parent for path in serialization.RELEASED.glob("*/experiment.json"))
 
 
 @pytest.mark.parametrize("folder", RELEASED, ids=lambda folder: folder.name)

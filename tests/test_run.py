@@ -25,8 +25,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.data import sources
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import select_reproducible
-from jaxunshear.files import read_json, write_json
-from jaxunshear.locks import hold_lock
+from jaxunshear.files import hold_lock, read_json, write_json
 from jaxunshear.sweep import tasks
 from jaxunshear.training.checkpoint import load_best
 from tests.golden import make_runs

@@ -27,8 +27,7 @@ from jaxunshear.calibration.report import (
     summarise_recorded,
 )
 from jaxunshear.calibration.sampling import sample_folders
-from jaxunshear.config.image import Camera
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Camera, Sensor
 from jaxunshear.config.stimuli import ABS_FRICTION
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes, write_json, write_text

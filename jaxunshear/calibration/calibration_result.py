@@ -7,8 +7,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from jaxunshear.calibration.prediction import SensorValues, make_values
-from jaxunshear.config.image import FITTED_CAMERA, Camera
-from jaxunshear.config.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
+from jaxunshear.config.sensor import (
+    FITTED_CAMERA,
+    FITTED_FRICTION,
+    TACTIP_331_FITTED,
+    Camera,
+    Sensor,
+    check_sensor,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
 

@@ -13,9 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.calibration.labels import EDGE_STIMULUS, LabelledMotions, make_paths
-from jaxunshear.config.image import Camera
-from jaxunshear.config.reach import compute_max_depth_mm
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Camera, Sensor, compute_max_depth_mm
 from jaxunshear.simulator.camera import project
 from jaxunshear.simulator.paths import DEPTH, TILT_X, Paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips, compute_tips_at

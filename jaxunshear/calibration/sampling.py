@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.calibration.pin_statistics import PinObservation, observe_pins
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Preprocess, Sensor
 from jaxunshear.data.recordings import (
     IMAGE_FOLDERS,
     RecordedFrame,

@@ -9,19 +9,17 @@ from collections.abc import Sequence
 from textwrap import wrap
 
 from jaxunshear import __version__
-from jaxunshear.cli import apps, catalogue, experiments, models, recordings, runs
+from jaxunshear.cli import apps, experiments, models, studies
 from jaxunshear.cli.fields import format_field_help, split_help_request
-from jaxunshear.cli.options import Command
-from jaxunshear.cli.program import Parser, check_json, parse, report_errors
+from jaxunshear.cli.program import Command, Parser, check_json, parse, report_errors
 from jaxunshear.code_version import read_source
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.environment import check_environment
-from jaxunshear.output_checks import check_new_folder
-from jaxunshear.protected_folders import check_outside
+from jaxunshear.output_checks import check_new_folder, check_outside
 
 COMMANDS: dict[str, Command] = {
     command.name: command
-    for module in (experiments, models, apps, recordings, runs, catalogue)
+    for module in (experiments, models, apps, studies)
     for command in module.COMMANDS
 }
 GROUPS = {  # of `jaxunshear --help`

@@ -9,23 +9,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from jaxunshear.cli.models import apply
-from jaxunshear.cli.options import (
+from jaxunshear.cli.models import (
     CAMERA_MODEL,
-    Command,
+    LIKE,
+    MODEL,
+    apply,
     choose_exit_code,
-    flag,
-    integer,
-    json_file,
-    model_dir,
-    option,
     parse_stimuli,
-    path,
 )
+from jaxunshear.cli.program import Command, flag, integer, json_file, option, path
 from jaxunshear.errors import UserError
 from jaxunshear.files import explain_os_error
-from jaxunshear.output_checks import check_new_file, check_new_folder, check_not_among
-from jaxunshear.protected_folders import check_outside
+from jaxunshear.output_checks import (
+    check_new_file,
+    check_new_folder,
+    check_not_among,
+    check_outside,
+)
 from jaxunshear.results.applications import StreamResult
 
 if TYPE_CHECKING:
@@ -194,8 +194,8 @@ COMMANDS = (
         "press and slide the dome over a shape with the mouse, on a page of this machine",
         explore,
         (
-            model_dir(),
-            CAMERA_MODEL[1],
+            MODEL,
+            LIKE,
             option(
                 "--stimulus",
                 "FILE,FILE",

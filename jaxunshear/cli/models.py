@@ -6,24 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from jaxunshear.cli.options import (
-    CAMERA_MODEL,
-    ROWS,
-    STIMULUS,
-    Command,
-    Option,
-    choose_exit_code,
-    integer,
-    json_file,
-    model_dir,
-    option,
-    parse_stimuli,
-    path,
-)
-from jaxunshear.config.stimuli import list_stimulus_names
+from jaxunshear.cli.program import ROWS, Command, Option, flag, integer, json_file, option, path
+from jaxunshear.config.outlines import parse_stimulus
+from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.errors import UserError
-from jaxunshear.output_checks import check_new_folder, check_not_among
-from jaxunshear.protected_folders import check_outside
+from jaxunshear.output_checks import check_new_folder, check_not_among, check_outside
 from jaxunshear.results.folders import find_results_folder
 
 if TYPE_CHECKING:
@@ -102,8 +89,7 @@ def apply(
 
 
 def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None") -> object:
-    from jaxunshear.config.image import Preprocess
-    from jaxunshear.config.sensor import get_sensor
+    from jaxunshear.config.sensor import Preprocess, get_sensor
     from jaxunshear.data.recorded_pins import find_pins, summary
     from jaxunshear.data.recordings import read_recordings
     from jaxunshear.files import write_bytes, write_npz, write_text
@@ -131,8 +117,8 @@ def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None")
     else:
         lattice = make_layout(get_sensor(arguments.sensor))
     found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
+    from jaxunshear.files import format_csv, to_builtins
     from jaxunshear.report.pin_figure import plot_pins
-    from jaxunshear.serialization import format_csv, to_builtins
 
     arrays = {
         "name": found.name,
@@ -150,12 +136,11 @@ def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None")
 
 
 def geometry(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
-    from jaxunshear.config.image import Preprocess
+    from jaxunshear.config.sensor import Preprocess
     from jaxunshear.data.recordings import read_recordings
     from jaxunshear.downstream.geometry_scores import estimate_recorded_heights, score_geometry
-    from jaxunshear.files import write_bytes
+    from jaxunshear.files import to_builtins, write_bytes
     from jaxunshear.report.geometry_figure import plot_contacts, plot_recordings
-    from jaxunshear.serialization import to_builtins
     from jaxunshear.text_table import format_text_table
 
     if arguments.path is not None:
@@ -241,6 +226,46 @@ def _find_trajectory_files(arguments: argparse.Namespace, out: Path) -> list[Pat
     return [file for name, file in files.items() if name not in missing]
 
 
+def parse_stimuli(text: str) -> tuple[StimulusSetting, ...]:
+    """Return the objects that --stimulus names. Raises UserError."""
+    from jaxunshear.simulator.stimuli import SHAPES, get_closed_stimulus
+
+    names = SHAPES if text == "all" else text.split(",")
+    stimuli = tuple(parse_stimulus(name.strip()) for name in names)
+    for stimulus in stimuli:
+        get_closed_stimulus(stimulus)
+    if len(set(list_stimulus_names(stimuli))) < len(stimuli):
+        raise UserError(f"--stimulus {text}: name each once")
+    return stimuli
+
+
+def choose_exit_code(used: float, left_out: float) -> int:
+    """Return 1 if half of the images or more are left out: that is no success."""
+    return int(left_out >= used)
+
+
+def _name_model(default: str) -> Option:
+    text = f"a finished run (runs/demo), or released weights by name ({default})"
+    return path("--model", "DIR", text, default=Path(default))
+
+
+MODEL = _name_model("standard")
+LIKE = path(
+    "--like",
+    "DIR",
+    "contacts of the same sensor and camera, whose mean shows where pins stand "
+    "(default: the frames themselves)",
+)
+CAMERA_MODEL = (  # trained for recordings, and what it needs to read them
+    _name_model("skin"),
+    LIKE,
+    flag("--force", "answer images that are not of the model's sensor, too"),
+)
+STIMULUS = option(
+    "--stimulus", "NAME,FILE", "which objects, outlines in files among them (all)", default="all"
+)
+
+
 def _make_command(
     name: str,
     text: str,
@@ -294,7 +319,7 @@ COMMANDS = (
         path("--out", "DIR", "for the results (geometry)"),
         json_file(ROWS),
         path("path", "IMAGES", "also of these recordings", nargs="?"),
-        model_dir(),
+        MODEL,
         integer("--contacts", "fresh ones to be scored on, at least 5 of each shape (300)", 300),
     ),
     _make_command(
@@ -303,7 +328,7 @@ COMMANDS = (
         servo,
         path("--out", "DIR", "for the results (servo)"),
         json_file(ROWS),
-        model_dir(),
+        MODEL,
         STIMULUS,
         integer("--starts", "for each way of perceiving (5)", 5),
         option(
@@ -318,7 +343,7 @@ COMMANDS = (
         reconstruct,
         path("--out", "DIR", "where they are, and results go"),
         json_file(ROWS),
-        model_dir(),
+        MODEL,
         STIMULUS,
     ),
 )

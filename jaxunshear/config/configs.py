@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.config.data import DataSettings, PairedData, PoseData, Ranges
-from jaxunshear.config.image import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.config.sensor import (
+    FITTED_CAMERA,
     FITTED_FRICTION,
+    FLUSH_CAMERA,
     TACTIP_331,
     TACTIP_331_FITTED,
     TACTIP_331_FLUSH,
+    Preprocess,
     Sensor,
     describe_sensor,
 )

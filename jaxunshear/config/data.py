@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Annotated, ClassVar, Literal, NamedTuple, cast
 
-from jaxunshear.config.image import Camera, Nuisance, Preprocess
-from jaxunshear.config.registry import (
+from jaxunshear.config.networks import (
     POSENET_SHEARED,
     RENDERER,
     NetworkSpec,
 )
+from jaxunshear.config.sensor import Camera, Nuisance, Preprocess
 from jaxunshear.config.splits import BLOCK, count_train_poses
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.config.types import Bound, Count, NotNegative, Positive, Rule, Share, between

@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from jaxunshear.config.data import PairedData, PoseData, RecordedTaps, Seed, SourceSettings
-from jaxunshear.config.networks import PinNet, PoseNet, UnshearNet
-from jaxunshear.config.registry import NETWORKS, list_networks
+from jaxunshear.config.networks import NETWORKS, PinNet, PoseNet, UnshearNet, list_networks
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.config.training import POSENET_TRAINING, Training

@@ -10,7 +10,7 @@ from typing import Any
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import LOSSES
-from jaxunshear.config.registry import REGISTRY
+from jaxunshear.config.networks import REGISTRY
 from jaxunshear.config.sensor import list_own_layouts
 from jaxunshear.config.types import check_types
 from jaxunshear.errors import UserError

@@ -17,15 +17,6 @@ from jaxunshear.config.data import PoseData, SourceSettings
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import InputKind
 from jaxunshear.config.networks import (
-    NetSettings,
-    PinNet,
-    PinPoseNet,
-    PinRenderer,
-    PinUnshear,
-    UNet,
-    UnshearNet,
-)
-from jaxunshear.config.registry import (
     DISENTANGLED,
     ENTANGLED,
     POSENET_SHEARED,
@@ -33,7 +24,14 @@ from jaxunshear.config.registry import (
     RENDERER,
     TEACHER,
     UNET,
+    NetSettings,
     NetworkSpec,
+    PinNet,
+    PinPoseNet,
+    PinRenderer,
+    PinUnshear,
+    UNet,
+    UnshearNet,
 )
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.training import Training, drop_pair_losses, uses_teacher

@@ -11,9 +11,8 @@ from jaxunshear.config.experiment import (
     uses_pins,
 )
 from jaxunshear.config.network_config import list_trained_networks, takes_taps
-from jaxunshear.config.reach import compute_contact_angle, compute_max_contact_depth_mm
-from jaxunshear.config.registry import POSENET, TEACHER
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.networks import POSENET, TEACHER
+from jaxunshear.config.sensor import Sensor, compute_contact_angle, compute_max_contact_depth_mm
 from jaxunshear.config.stimuli import SHOWN_TARGETS, list_stimulus_names
 from jaxunshear.config.targets import (
     PAPER_TARGETS,

@@ -16,8 +16,7 @@ from jax import Array
 from jaxunshear.cluster import Call, CallRunner, WorkerDied, run_locally
 from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.data import PairedData, PoseData
-from jaxunshear.config.image import Camera, Nuisance, Preprocess
-from jaxunshear.config.sensor import LAYOUTS, LayoutFunction, Sensor
+from jaxunshear.config.sensor import LAYOUTS, Camera, LayoutFunction, Nuisance, Preprocess, Sensor
 from jaxunshear.data.sampling import ContactSamples
 from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, read_npz, write_npz

@@ -3,7 +3,7 @@
 import hashlib
 from pathlib import Path
 
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recorded_contacts import read_folder
 
 DIGITS = 16

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Preprocess, Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import Chunk, load_chunk, pack_bits, unpack_bits, write_chunks
 from jaxunshear.data.recorded_contacts import RecordedContacts

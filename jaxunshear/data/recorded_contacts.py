@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.splits import SPLITS, hash_text
 from jaxunshear.data.labels import read_pair_table
 from jaxunshear.data.pose_block import cut_block

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recorded_probes import LARGEST_PX
 from jaxunshear.data.recordings import Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError

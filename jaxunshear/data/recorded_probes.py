@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.sensor import SENSORS, Sensor
+from jaxunshear.config.sensor import SENSORS, Preprocess, Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.recorded_contacts import RecordedContacts
 from jaxunshear.data.recordings import find_common_view, read_image

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.registry import DISENTANGLED
+from jaxunshear.config.networks import DISENTANGLED
 from jaxunshear.data.factorial import FactorialReader
 from jaxunshear.data.reader import Reader
 from jaxunshear.evaluation.bootstrap import compute_interval, number_poses, resample_means

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recorded_contacts import RecordedContacts
 from jaxunshear.data.recorded_probes import find_training_view
 from jaxunshear.data.recordings import read_image

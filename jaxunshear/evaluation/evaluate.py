@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.registry import POSENETS
+from jaxunshear.config.networks import POSENETS
 from jaxunshear.data.sources import open_source
 from jaxunshear.evaluation.result_tables import finish_results
 from jaxunshear.evaluation.score_files import EvaluatedRun, write_score_files

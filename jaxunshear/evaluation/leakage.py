@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.registry import DISENTANGLED
+from jaxunshear.config.networks import DISENTANGLED
 from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_interval, resample_means
 from jaxunshear.evaluation.code_exchange import measure_exchange_errors
 from jaxunshear.evaluation.codes import load_code_network

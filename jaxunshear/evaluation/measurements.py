@@ -5,10 +5,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from jaxunshear.files import Json
+from jaxunshear.files import Json, to_builtins
 from jaxunshear.results.measurement import Measured, Measurement
 from jaxunshear.results.run import CodeSwapScore, Results, Tables
-from jaxunshear.serialization import to_builtins
 
 BARS: dict[str, tuple[str, float]] = {  # that the demo should clear, on held-out poses
     "ms_ssim.disentangled.overall": (">=", 0.90),

@@ -4,7 +4,7 @@ Gupta, Aitchison, Lepora: Tactile Image-to-Image Disentanglement. Keys are those
 paper does not name its MS-SSIM library.
 """
 
-from jaxunshear.config.registry import DISENTANGLED, ENTANGLED
+from jaxunshear.config.networks import DISENTANGLED, ENTANGLED
 
 PAPER = {
     "ms_ssim": {  # Table 1

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.registry import POSENET, UNSHEARING
+from jaxunshear.config.networks import POSENET, UNSHEARING
 from jaxunshear.config.targets import Targets, list_label_fields
 from jaxunshear.data.reader import Reader
 from jaxunshear.evaluation import kernel_ridge

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.registry import POSENET, POSENETS
+from jaxunshear.config.networks import POSENET, POSENETS
 from jaxunshear.config.targets import Targets
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_set import RecordedSet

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxunshear.config.registry import (
+from jaxunshear.config.networks import (
     DISENTANGLED,
     ENTANGLED,
     ENTANGLED_LARGE,

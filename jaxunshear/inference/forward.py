@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED
+from jaxunshear.config.networks import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.config.targets import Targets
 from jaxunshear.models import posenet
 from jaxunshear.models.registry import predict, unshear

@@ -18,7 +18,7 @@ from jaxunshear.code_version import read_source
 from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
 from jaxunshear.data.recordings import RecordedFrame, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.files import Json, write_bytes, write_text
+from jaxunshear.files import Json, format_csv, write_bytes, write_text
 from jaxunshear.inference.forward import BATCH, UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel, load_model
 from jaxunshear.metrics.machine import describe_machine, list_versions
@@ -29,7 +29,6 @@ from jaxunshear.perception.preprocess import prepare_frame
 from jaxunshear.perception.sensor_check import invert_image, judge_images
 from jaxunshear.progress import Progress
 from jaxunshear.results.measurement import Measured, Measurement
-from jaxunshear.serialization import format_csv
 
 LABELS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 SAMPLED_FRAMES = 20  # frames by which a folder is judged

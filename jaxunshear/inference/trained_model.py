@@ -19,17 +19,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.registry import ALL_NETWORKS, DISENTANGLED, POSENET, POSENET_SHEARED
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.networks import ALL_NETWORKS, DISENTANGLED, POSENET, POSENET_SHEARED
+from jaxunshear.config.sensor import Preprocess, Sensor
+from jaxunshear.config.serialization import find_model_folder, load_settings
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.data.preprocessing import LIKE_REMEDY, SensorFrame, find_recordings_frame
 from jaxunshear.data.recorded_set import parse_frame
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.data.sources import DataSource, open_source
+from jaxunshear.environment import keep_freed_memory
 from jaxunshear.errors import Note, UserError
 from jaxunshear.files import read_object
 from jaxunshear.inference.forward import (
@@ -50,7 +50,6 @@ from jaxunshear.inference.readers import (
     judge_batch,
     make_pin_reader,
 )
-from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.posenet import unscale_outputs
 from jaxunshear.models.registry import encode

@@ -15,7 +15,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from jaxunshear.config import registry as names
+from jaxunshear.config import networks as names
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import (
     PinNet,

@@ -3,8 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.config.image import Camera, Preprocess
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Camera, Preprocess, Sensor
 from jaxunshear.perception.lattice import Lattice, compute_rings, make_lattice
 from jaxunshear.simulator.camera import project, to_image_px
 from jaxunshear.simulator.pin_layout import compute_pin_tips

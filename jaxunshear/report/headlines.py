@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from markupsafe import Markup
 
-from jaxunshear.config.registry import UNSHEARING
+from jaxunshear.config.networks import UNSHEARING
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.progress import format_duration
 from jaxunshear.report import html, wording

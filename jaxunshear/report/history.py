@@ -5,7 +5,7 @@ import warnings
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxunshear.config.registry import TRAINABLE
+from jaxunshear.config.networks import TRAINABLE
 from jaxunshear.errors import Note
 from jaxunshear.files import Json, check_and_remove_checksum
 from jaxunshear.results.measurement import TrainingSummary

@@ -7,13 +7,13 @@ from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from jaxunshear.files import to_builtins
 from jaxunshear.progress import format_duration
 from jaxunshear.report import html, wording
 from jaxunshear.report.figures import encode_svg, make_panels
 from jaxunshear.report.history import History, Trainings
 from jaxunshear.report.wording import Wording
 from jaxunshear.results.run import Results
-from jaxunshear.serialization import to_builtins
 from jaxunshear.style import ABREAST, COLOURS, INK, STYLE
 
 DASHES = ("-", "--", ":")

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 
-from jaxunshear.config.registry import REGISTRY, UNSHEARING
+from jaxunshear.config.networks import REGISTRY, UNSHEARING
 from jaxunshear.downstream.contour import Contour
 from jaxunshear.downstream.servo import CLOSED, ENDS, Trajectories
 from jaxunshear.report.figures import make_panels

@@ -11,8 +11,7 @@ from typing import TypeVar
 import msgspec
 
 from jaxunshear.errors import UserError
-from jaxunshear.files import read_json, write_json
-from jaxunshear.serialization import to_builtins
+from jaxunshear.files import read_json, to_builtins, write_json
 
 SCHEMA = 1  # of all records; a file without one has this first schema
 Record = TypeVar("Record")

@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxunshear.config.reach import compute_max_contact_depth_mm
-from jaxunshear.config.sensor import Sensor, check_sensor
+from jaxunshear.config.sensor import Sensor, check_sensor, compute_max_contact_depth_mm
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.contact_results import Skins
 from jaxunshear.simulator.paths import DEPTH, MIN_LEG_MM, TILT_X, Paths

@@ -15,8 +15,7 @@ import numpy as np
 from jaxunshear.config.network_config import list_trained_networks
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.errors import UserError
-from jaxunshear.files import write_bytes
-from jaxunshear.locks import hold_lock
+from jaxunshear.files import hold_lock, write_bytes
 from jaxunshear.progress import Progress
 from jaxunshear.report.frontier_figure import plot_frontier
 from jaxunshear.report.sweep_figure import plot_sweep

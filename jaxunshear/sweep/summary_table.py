@@ -1,6 +1,6 @@
 """The summary of a sweep as a text table."""
 
-from jaxunshear.config.registry import POSENET_SHEARED
+from jaxunshear.config.networks import POSENET_SHEARED
 from jaxunshear.report.frontier_figure import list_comparable
 from jaxunshear.results.sweep import CellResult, Figure, SweepResult
 from jaxunshear.text_table import format_text_table

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import resolve_network
-from jaxunshear.config.registry import POSENET_SHEARED, RENDERER
+from jaxunshear.config.networks import POSENET_SHEARED, RENDERER
 from jaxunshear.config.targets import RECORDED_FIELDS
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_set import PoseEstimator, RecordedSet, SlideSimulator, TapRenderer

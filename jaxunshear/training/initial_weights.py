@@ -9,11 +9,10 @@ from typing import NamedTuple
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import NetworkConfig, resolve_network
-from jaxunshear.config.serialization import OLD_FILES
+from jaxunshear.config.serialization import OLD_FILES, find_model_folder
 from jaxunshear.data.sources import DataSource, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
-from jaxunshear.model_folders import find_model_folder
 
 
 class InitialWeights(NamedTuple):

@@ -1,7 +1,7 @@
 """Draw the next batch and put it on the device while a step runs, in a thread of its own.
 
 This saves not only the time to draw it. The intermediate arrays of a step are one large block of
-the calling thread's memory (`allocator.py`), which the next step can use again unless part of it
+the calling thread's memory (`environment.py`), which the next step can use again unless part of it
 has been taken since. A thread has memory of its own.
 """
 

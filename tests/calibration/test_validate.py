@@ -14,7 +14,7 @@ from jaxunshear.calibration.calibration_result import (
 )
 from jaxunshear.calibration.sampling import are_among, list_sampled_images, split_folders
 from jaxunshear.calibration.validate import PRESET_RECORDINGS, validate
-from jaxunshear.config.image import Camera
+from jaxunshear.config.sensor import Camera
 from jaxunshear.errors import UserError
 from tests.calibration.conftest import write_recording
 

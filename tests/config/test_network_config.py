@@ -13,8 +13,7 @@ from jaxunshear.config.network_config import (
     list_trained_networks,
     resolve_network,
 )
-from jaxunshear.config.networks import UnshearNet
-from jaxunshear.config.registry import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE
+from jaxunshear.config.networks import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE, UnshearNet
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.data.sources import open_source
 from jaxunshear.fit import BASE_EXPERIMENT as RECORDED

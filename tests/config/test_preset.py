@@ -8,8 +8,8 @@ import pytest
 
 from jaxunshear import cli
 from jaxunshear.config.load import load_experiment
-from jaxunshear.config.preset import apply_preset, read_preset
 from jaxunshear.config.rules import validate
+from jaxunshear.config.serialization import apply_preset, read_preset
 from jaxunshear.errors import UserError
 
 ROOT = Path(__file__).parents[2]

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.config.image import Camera, Preprocess
-from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.sensor import TACTIP_331, Camera, Preprocess
 from jaxunshear.data.simulated_contacts import SimulatedContacts
 from jaxunshear.downstream.reconstruct import compute_skin_positions
 from jaxunshear.downstream.shape_estimators import (

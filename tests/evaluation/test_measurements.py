@@ -3,9 +3,9 @@
 import pytest
 
 from jaxunshear.evaluation.measurements import BARS, build_measurements, select_reproducible
+from jaxunshear.files import to_builtins
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
-from jaxunshear.serialization import to_builtins
 
 
 def results(unsheared=0.95, sheared=0.32, ratio=0.5):

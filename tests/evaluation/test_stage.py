@@ -9,7 +9,7 @@ import pytest
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import resolve_network
-from jaxunshear.config.registry import ALL_NETWORKS, UNSHEARING
+from jaxunshear.config.networks import ALL_NETWORKS, UNSHEARING
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.data import reader
 from jaxunshear.data.sources import open_source
@@ -17,10 +17,9 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation import simulated_evaluation
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import select_reproducible
-from jaxunshear.files import read_json, write_json
+from jaxunshear.files import read_json, to_builtins, write_json
 from jaxunshear.results.record_files import SCHEMA, read_record
 from jaxunshear.results.run import Results
-from jaxunshear.serialization import to_builtins
 
 SIZE, COUNT = 32, 6
 

@@ -12,8 +12,7 @@ from jaxunshear.api import load_model
 from jaxunshear.config.configs import get_set_folder
 from jaxunshear.config.data import PairedData, PoseData, Recorded
 from jaxunshear.config.load import load_experiment
-from jaxunshear.config.reach import set_ring_spacing
-from jaxunshear.config.sensor import TACTIP_127, Sensor
+from jaxunshear.config.sensor import TACTIP_127, Sensor, set_ring_spacing
 from jaxunshear.config.serialization import from_json
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import load_chunk
@@ -21,13 +20,12 @@ from jaxunshear.data.generation import make_set
 from jaxunshear.data.reader import open_set
 from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
-from jaxunshear.files import read_json
+from jaxunshear.files import read_json, to_builtins
 from jaxunshear.report import montage
 from jaxunshear.report.history import read_history
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import read_times
-from jaxunshear.serialization import to_builtins
 from jaxunshear.simulator.dome import load_dome
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 from tests.faults import shim

@@ -3,10 +3,10 @@
 import json
 import platform
 
+from jaxunshear.files import to_builtins
 from jaxunshear.metrics.machine import describe_machine, list_versions
 from jaxunshear.results.measurement import Machine
 from jaxunshear.results.record_files import convert_record
-from jaxunshear.serialization import to_builtins
 
 
 def test_machine_is_plain_and_says_something():

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from jaxunshear import load_model
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.load import load_experiment
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.digests import compute_digest
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.files import write_json

@@ -10,8 +10,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.sensor import TACTIP_127
+from jaxunshear.config.sensor import TACTIP_127, Preprocess
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import make_label_targets
 from jaxunshear.data import preprocessing

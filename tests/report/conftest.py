@@ -13,7 +13,7 @@ from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
 from jaxunshear.evaluation.score_files import encode_montage
 from jaxunshear.evaluation.simulated_evaluation import build_simulated_results
-from jaxunshear.serialization import to_builtins
+from jaxunshear.files import to_builtins
 
 VOID = {"meta", "img", "br"}
 SIZE, COUNT = 128, 36

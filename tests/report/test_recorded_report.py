@@ -20,12 +20,12 @@ from jaxunshear.evaluation.recorded_scores import (
 )
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
 from jaxunshear.evaluation.score_files import encode_montage
+from jaxunshear.files import to_builtins
 from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.report.report import write_report
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
 from jaxunshear.run import print_summary
-from jaxunshear.serialization import to_builtins
 
 COUNT, KEPT = 24, 12
 ERRORS = {"partner": 0.9, "sheared": 4.0, "sheared_learnt": 1.5, "disentangled": 1.75}

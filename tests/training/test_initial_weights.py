@@ -13,9 +13,9 @@ import pytest
 from jaxunshear.config.configs import compute_fingerprint
 from jaxunshear.config.data import Recorded, RecordedTaps
 from jaxunshear.config.experiment import Experiment, list_further_tests
+from jaxunshear.config.serialization import RELEASED, load_settings
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
-from jaxunshear.model_folders import RELEASED, load_settings
 from jaxunshear.models import unshearnet
 from jaxunshear.training import checkpoint, trainer
 from jaxunshear.training.initial_weights import (

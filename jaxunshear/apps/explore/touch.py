@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from jaxunshear.config.reach import compute_ring_spacing
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Sensor, compute_ring_spacing
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.level import LEVELS, Level

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.apps.export.onnx_graph import BYTE, FLOAT, OnnxGraph
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.perception.grey import LUMA
