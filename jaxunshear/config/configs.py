@@ -5,7 +5,7 @@ import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from jaxunshear.config.data import DataSettings, PairedData, PoseData, Ranges
 from jaxunshear.config.sensor import (
@@ -19,6 +19,7 @@ from jaxunshear.config.sensor import (
     Sensor,
     describe_sensor,
 )
+from jaxunshear.config.types import Value
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
@@ -105,7 +106,7 @@ def get_config_sensor(config: str) -> Sensor:
 
 def describe_set(settings: DataSettings, sensor: Sensor) -> dict:
     """Describe in plain JSON types everything that decides a set's bits."""
-    fields = dataclasses.asdict(settings)  # type: ignore[arg-type]
+    fields = dataclasses.asdict(cast(Value, settings))
     for name in settings.not_stored:
         del fields[name]
     description = {
@@ -117,7 +118,7 @@ def describe_set(settings: DataSettings, sensor: Sensor) -> dict:
     return json.loads(json.dumps(description))
 
 
-def convert_to_floats(settings: Any) -> Any:
+def convert_to_floats(settings: Value) -> Value:
     """Convert all numbers in nested settings to floats: 1 and 1.0 are the same setting."""
     if isinstance(settings, dict):
         return {name: convert_to_floats(value) for name, value in settings.items()}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
 from jaxunshear.config.losses import InputKind, Role
-from jaxunshear.config.types import Bound, Count, Counts, NotNegative, Rule, between
+from jaxunshear.config.types import Bound, Count, Counts, NotNegative, Problem, between
 from jaxunshear.errors import UserError
 
 CodeSize = Annotated[
@@ -44,15 +44,12 @@ class UnshearNet:
     # "pins": networks over pins (`PinNet`) instead of these
     input: Literal["images", "pins"] = "images"
 
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(len(self.widths) > 1, "widths", "list at least two")
-        halvings = 2 ** len(self.widths)
-        yield Rule(
-            self.size % halvings == 0,
-            "size",
-            f"is not divisible by {halvings}: "
-            f"each of the {len(self.widths)} widths halves the image",
-        )
+    def find_problems(self) -> Iterator[Problem]:
+        if len(self.widths) < 2:
+            yield Problem("widths", "list at least two")
+        if self.size % 2 ** len(self.widths):
+            divisor = 2 ** len(self.widths)
+            yield Problem("size", f"is not divisible by {divisor}: each width halves the image")
 
 
 @dataclass(frozen=True)
@@ -62,8 +59,8 @@ class UNet:
     size: int = 128
     widths: tuple[int, ...] = (32, 64, 64, 128, 256)
 
-    def rules(self) -> Iterator[Rule]:
-        yield from UnshearNet(self.size, self.widths).rules()
+    def find_problems(self) -> Iterator[Problem]:
+        yield from UnshearNet(self.size, self.widths).find_problems()
 
 
 @dataclass(frozen=True)
@@ -77,13 +74,11 @@ class PoseNet:
     widths: Counts = (16, 32, 64, 96, 128)  # channels a convolution
     hidden: Count = 128  # units of the dense layer before the last
 
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(len(self.widths) == 5, "widths", "list five: PoseNet has five convolutions")
-        yield Rule(
-            self.size % 16 == 0,
-            "size",
-            "is no multiple of 16, which PoseNet's strides and pooling need",
-        )
+    def find_problems(self) -> Iterator[Problem]:
+        if len(self.widths) != 5:
+            yield Problem("widths", "list five: PoseNet has five convolutions")
+        if self.size % 16:
+            yield Problem("size", "is no multiple of 16, which PoseNet's strides and pooling need")
 
 
 @dataclass(frozen=True)

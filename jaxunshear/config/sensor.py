@@ -22,7 +22,7 @@ from jaxunshear.config.types import (
     Fraction,
     NotNegative,
     Positive,
-    Rule,
+    Problem,
     Share,
     between,
     check_rules,
@@ -78,37 +78,29 @@ class Sensor:
             raise UserError(f"sensor '{self.name}': layout '{self.layout}' {_explain_layouts()}")
         return np.asarray(LAYOUTS[self.layout](self), float)
 
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(self.layout in LAYOUTS, "layout", _explain_layouts())
+    def find_problems(self) -> Iterator[Problem]:
+        if self.layout not in LAYOUTS:
+            yield Problem("layout", _explain_layouts())
         for name, value in vars(self).items():
-            yield Rule(not isinstance(value, float) or math.isfinite(value), name, "must be finite")
-        yield Rule(
-            2 * self.pin_radius_mm < self.pin_spacing_mm,
-            "pin_radius_mm",
-            f"pins {self.pin_spacing_mm:g} mm apart would overlap: use less than half of that",
-        )
-        yield Rule(
-            self.skin_mm + self.pin_length_mm < self.dome_radius_mm,
-            "dome_radius_mm",
-            "must exceed skin_mm + pin_length_mm",
-        )
-        yield from self._list_place_rules()
-
-    def _list_place_rules(self) -> Iterator[Rule]:
+            if isinstance(value, float) and not math.isfinite(value):
+                yield Problem(name, "must be finite")
+        spacing = self.pin_spacing_mm
+        if 2 * self.pin_radius_mm >= spacing:
+            remedy = f"pins {spacing:g} mm apart would overlap: use less than half of that"
+            yield Problem("pin_radius_mm", remedy)
+        if self.skin_mm + self.pin_length_mm >= self.dome_radius_mm:
+            yield Problem("dome_radius_mm", "must exceed skin_mm + pin_length_mm")
         places = self.place_pins()
         is_sound = places.ndim == 2 and places.shape[1:] == (2,) and np.isfinite(places).all()
-        yield Rule(
-            bool(is_sound and len(places)),
-            "layout",
-            f"must place pins at finite (P, 2) mm, not {places.shape}",
-        )
+        if not (is_sound and len(places)):
+            yield Problem("layout", f"must place pins at finite (P, 2) mm, not {places.shape}")
         rim, reach = self.dome_radius_mm * math.pi / 2, np.linalg.norm(places, axis=-1).max()
-        yield Rule(
-            bool(reach < rim),
-            "rings" if self.has_rings else "layout",
-            f"pins {reach:.1f} mm from the apex go past the dome's rim at {rim:.1f} mm: "
-            "use fewer or closer ones",
-        )
+        if reach >= rim:
+            yield Problem(
+                "rings" if self.has_rings else "layout",
+                f"pins {reach:.1f} mm from the apex go past the dome's rim at {rim:.1f} mm: "
+                "use fewer or closer ones",
+            )
 
 
 LayoutFunction = Callable[[Sensor], object]
@@ -239,9 +231,9 @@ class Camera:
     housing: Housing = 1.22
 
 
-# shows the wider outer ring of `sensor.TACTIP_331_FLUSH` at the same place in the frame
+# shows the wider outer ring of TACTIP_331_FLUSH at the same place in the frame
 FLUSH_CAMERA = Camera(mm_across=35.3)
-# fitted to the same contacts as `sensor.TACTIP_331_FITTED`
+# fitted to the same contacts as TACTIP_331_FITTED
 FITTED_CAMERA = Camera(mm_across=50.72, distance_mm=66.43, housing=1.262)
 
 
@@ -277,6 +269,7 @@ class Preprocess:
     outer_pins: OuterPins = 0.375
 
 
+# A contact is solved at points on rings, evenly spaced along the dome's surface from the apex.
 RING_MM = 1.0  # spacing along the surface
 COVERED_ANGLE_DEG = 60.0
 # A node can touch if the undeformed dome there lies below this share of the depth, because the skin

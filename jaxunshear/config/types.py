@@ -18,10 +18,9 @@ Hint = Any  # a type as annotations write it
 Value = Any  # of a field, or of each of several
 
 
-class Rule(NamedTuple):
-    """A condition on settings. A rule may rely on those before it."""
+class Problem(NamedTuple):
+    """A value that cannot work. What finds it may rely on there being no problem before it."""
 
-    holds: bool
     field: str  # which the message names
     remedy: str  # what is wrong with its value, and what to do instead
 
@@ -56,37 +55,33 @@ def check_types(settings: object) -> None:
     _check(settings, type(settings), "")
 
 
-def list_declared_rules(settings: object, group: str = "") -> Iterator[Rule]:
-    """Yield the rules that `settings` and the groups in it declare; fields by dotted name."""
+def find_problems(settings: object, group: str = "") -> Iterator[Problem]:
+    """Find problems of `settings` and of the groups in it: by its types and its `find_problems`."""
     kind: type = type(settings)
     hints = list_hints(kind)
+    values = {field: getattr(settings, field) for field in hints}
     for field, hint in hints.items():
-        value = getattr(settings, field)
-        if choices := list_choices(hint):
-            yield _make_choice_rule(value, choices, f"{group}{field}")
+        choices, value = list_choices(hint), values[field]
+        items = value if isinstance(value, tuple) else (value,)
+        unknown = ", ".join(item for item in items if isinstance(item, str) and item not in choices)
+        if choices and unknown:
+            subject = f"{unknown} is" if isinstance(value, tuple) else "is"
+            remedy = f"{subject} unknown: use one of {', '.join(choices)}"
+            yield Problem(f"{group}{field}", remedy)
         for bound in list_bounds(kind).get(field, ()):
-            yield Rule(bound.holds(value), f"{group}{field}", bound.remedy)
-    for rule in settings.rules() if hasattr(settings, "rules") else ():
-        yield rule._replace(field=f"{group}{rule.field}")
+            if not bound.holds(value):
+                yield Problem(f"{group}{field}", bound.remedy)
+    for field, remedy in settings.find_problems() if hasattr(settings, "find_problems") else ():
+        yield Problem(f"{group}{field}", remedy)
     for field in hints:
-        value = getattr(settings, field)
-        if dataclasses.is_dataclass(value):
-            yield from list_declared_rules(value, f"{group}{field}.")
-
-
-def _make_choice_rule(value: Value, choices: tuple[str, ...], field: str) -> Rule:
-    items = value if isinstance(value, tuple) else (value,)
-    unknown = ", ".join(item for item in items if isinstance(item, str) and item not in choices)
-    subject = f"{unknown} is" if isinstance(value, tuple) else "is"
-    return Rule(not unknown, field, f"{subject} unknown: use one of {', '.join(choices)}")
+        if dataclasses.is_dataclass(values[field]):
+            yield from find_problems(values[field], f"{group}{field}.")
 
 
 def check_rules(settings: object, what: str) -> None:
-    """Raise UserError for the first rule of `settings`, called `what`, that does not hold."""
-    for rule in list_declared_rules(settings):
-        if not rule.holds:
-            value = get_value(settings, rule.field)
-            raise UserError(f"{what}: {rule.field} = {value}: {rule.remedy}")
+    """Raise UserError for the first problem of `settings`, called `what`."""
+    for field, remedy in find_problems(settings):
+        raise UserError(f"{what}: {field} = {get_value(settings, field)}: {remedy}")
 
 
 def get_value(settings: object, name: str) -> Value:

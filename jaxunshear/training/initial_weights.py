@@ -25,7 +25,7 @@ def start_folder(experiment: Experiment, network: str) -> Path | None:
 
     Raises UserError if they are missing or learnt the tests.
     """
-    model = resolve_network(experiment, network).start
+    model = resolve_network(experiment, network).training.start
     if not model:
         return None
     folder = find_model_folder(Path(model)) / network

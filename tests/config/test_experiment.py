@@ -12,7 +12,7 @@ from jaxunshear.config.data import Recorded, RecordedTaps
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import list_field_types, override_fields, replace_field
 from jaxunshear.config.load import load_experiment
-from jaxunshear.config.rules import list_rules, validate
+from jaxunshear.config.rules import find_experiment_problems, validate
 from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.config.stimuli import StimulusName
 from jaxunshear.config.training import Training
@@ -140,7 +140,7 @@ def test_depths_beyond_the_contact_model_are_refused():
         deep = dataclasses.replace(
             PLAIN, pose=dataclasses.replace(PLAIN.pose, config="deep", ranges=ranges)
         )
-        wrong = [name for holds, name, _ in list_rules(deep) if not holds]
+        wrong = [problem.field for problem in find_experiment_problems(deep)]
         assert ("pose.ranges.depth_max_mm" in wrong) == refused
 
 
