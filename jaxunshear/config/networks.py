@@ -134,6 +134,7 @@ TEACHER: Final = "posenet_teacher"
 # pose to tap, trained on recorded taps: draws the partners of recorded slides
 RENDERER: Final = "renderer"
 
+IMAGES_ALONE: tuple[InputKind, ...] = ("images",)
 PIN_CONSTANTS = ("rest", "spread", "grid")  # variables of networks over pins that are not trained
 
 
@@ -159,11 +160,7 @@ REGISTRY = {
         NetworkSpec(RENDERER, "renders", "taps"),
         NetworkSpec(TEACHER, "reads poses", "taps"),
         NetworkSpec(
-            ENTANGLED,
-            "unshears",
-            "pairs",
-            "entangled",
-            released_parts=("E", "DC", *PIN_CONSTANTS),
+            ENTANGLED, "unshears", "pairs", "entangled", released_parts=("E", "DC", *PIN_CONSTANTS)
         ),
         NetworkSpec(
             DISENTANGLED,
@@ -174,13 +171,9 @@ REGISTRY = {
         ),
         NetworkSpec(POSENET, "reads poses", "taps", released_parts=()),
         NetworkSpec(
-            ENTANGLED_LARGE,
-            "unshears",
-            "pairs",
-            "entangled, as many parameters",
-            modalities=("images",),
+            ENTANGLED_LARGE, "unshears", "pairs", "entangled, as many parameters", IMAGES_ALONE
         ),
-        NetworkSpec(UNET, "unshears", "pairs", "U-Net", modalities=("images",)),
+        NetworkSpec(UNET, "unshears", "pairs", "U-Net", IMAGES_ALONE),
         NetworkSpec(POSENET_SHEARED, "reads poses", "slides", released_parts=()),
     )
 }
