@@ -15,12 +15,24 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import override_fields, parse_overrides, replace_field
 from jaxunshear.config.load import load_variable
 from jaxunshear.config.rules import validate
-from jaxunshear.config.types import Problem, Value, check_types
+from jaxunshear.config.types import Problem, Value, check_types, is_of_type, list_hints
 from jaxunshear.errors import UserError
 
 Fields = str | tuple[str, ...]  # a dotted name, or several of fields that vary together
 Axis = tuple[Fields, tuple[Value, ...]]
 Change = tuple[Fields, Value]
+FORMS = {  # what is said of fields of another type
+    "name": "is no text",
+    "claim": "is no text",
+    "base": "is no Experiment",
+    "grid": 'is no tuple of axes ("field", (value, value)) '
+    'or (("field", "field"), ((value, value), (value, value)))',
+    "rows": 'is no tuple of rows (("field", value), ("field", value))',
+    "labels": "is no tuple of texts",
+    "seeds": f"(or --seeds) is no tuple of integers from 0 to {MAX_SEED}",
+    "ablation": "is neither True nor False",
+    "reference": "is no text",
+}
 
 
 @dataclass(frozen=True)
@@ -129,33 +141,22 @@ def _check_form(sweep: Sweep, source: str) -> None:
 
 
 def _find_type_problems(sweep: Sweep) -> Iterator[Problem]:
-    for field in ("name", "claim", "reference"):
-        value = getattr(sweep, field)
-        if not isinstance(value, str) and (field, value) != ("reference", None):
-            yield Problem(field, "is no text")
-    if not isinstance(sweep.base, Experiment):
-        yield Problem("base", f"is of type {type(sweep.base).__name__}, not Experiment")
-    if not isinstance(sweep.ablation, bool):
-        yield Problem("ablation", "is neither True nor False")
-    if not _are_axes(sweep.grid):
-        yield Problem(
-            "grid",
-            'is no tuple of axes ("field", (value, value)) '
-            'or (("field", "field"), ((value, value), (value, value)))',
-        )
-    if not isinstance(sweep.rows, tuple) or not all(map(_are_axes, sweep.rows)):
-        yield Problem("rows", 'is no tuple of rows (("field", value), ("field", value))')
-    labels, seeds = sweep.labels, sweep.seeds
-    if not isinstance(labels, tuple) or not all(isinstance(text, str) and text for text in labels):
-        yield Problem("labels", "is no tuple of texts")
-    if not isinstance(seeds, tuple) or not seeds or not all(map(_is_seed, seeds)):
-        yield Problem("seeds", f"(or --seeds) is no tuple of integers from 0 to {MAX_SEED}")
+    hints = list_hints(Sweep)
+    for field, remedy in FORMS.items():
+        if not is_of_type(getattr(sweep, field), hints[field]):
+            yield Problem(field, remedy)
+    if not all(sweep.labels):
+        yield Problem("labels", FORMS["labels"])
+    if not sweep.seeds or not all(0 <= seed <= MAX_SEED for seed in sweep.seeds):
+        yield Problem("seeds", FORMS["seeds"])
 
 
 def _find_axis_problems(sweep: Sweep) -> Iterator[Problem]:
     changes = []
     for fields, values in sweep.grid:
-        if not isinstance(values, tuple) or not values:
+        if not fields:
+            yield Problem("grid", FORMS["grid"])
+        if not values:
             yield Problem("grid", f"lists no values for {fields}: give a tuple of some")
         changes += [("grid", fields, value) for value in values]
     for row in sweep.rows:
@@ -185,18 +186,3 @@ def _find_doubles(sweep: Sweep) -> Iterator[Problem]:
         yield Problem("labels", "lists one twice")
     if len(set(sweep.seeds)) < len(sweep.seeds):
         yield Problem("seeds", "(or --seeds) lists a seed twice")
-
-
-def _is_seed(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MAX_SEED
-
-
-def _are_axes(axes: object) -> bool:
-    return isinstance(axes, tuple) and all(
-        isinstance(pair, tuple) and len(pair) == 2 and _are_fields(pair[0]) for pair in axes
-    )
-
-
-def _are_fields(fields: object) -> bool:
-    names = fields if isinstance(fields, tuple) else (fields,)
-    return len(names) > 0 and all(isinstance(name, str) for name in names)

@@ -50,11 +50,6 @@ Counts = Annotated[
 ]
 
 
-def check_types(settings: object) -> None:
-    """Refuse, by dotted name, values of a wrong type; NaN and infinity count as wrong."""
-    _check(settings, type(settings), "")
-
-
 def find_problems(settings: object, group: str = "") -> Iterator[Problem]:
     """Find problems of `settings` and of the groups in it: by its types and its `find_problems`."""
     kind: type = type(settings)
@@ -84,13 +79,17 @@ def check_rules(settings: object, what: str) -> None:
         raise UserError(f"{what}: {field} = {get_value(settings, field)}: {remedy}")
 
 
-def get_value(settings: object, name: str) -> Value:
+def get_value(settings: Value, name: str) -> Value:
     """Return the value of the field of this dotted name; 0 for a weight that is not there."""
-    return functools.reduce(_get_part, name.split("."), settings)
+    for part in name.split("."):
+        is_weight = isinstance(settings, Mapping)
+        settings = settings.get(part, 0.0) if is_weight else getattr(settings, part)
+    return settings
 
 
-def _get_part(settings: object, name: str) -> Value:
-    return settings.get(name, 0.0) if isinstance(settings, Mapping) else getattr(settings, name)
+def get_origin(kind: Hint) -> object:
+    """Return `tuple` for `tuple[int, ...]`, None for a plain type; mypy mistypes typing's own."""
+    return typing.get_origin(kind)
 
 
 def is_weights(kind: Hint) -> bool:
@@ -115,23 +114,16 @@ def list_bounds(kind: type) -> dict[str, list[Bound]]:
     return bounds
 
 
-def get_origin(kind: Hint) -> object:
-    """Return `tuple` for `tuple[int, ...]`, None for a plain type; mypy mistypes typing's own."""
-    return typing.get_origin(kind)
-
-
 def list_groups(kind: Hint) -> list[type]:
     """Return the dataclasses that a field may hold: none, one, or those of a union or registry."""
-    kinds = typing.get_args(kind) if _is_union(kind) else (kind,)
-    return [part for each in kinds for part in _list_dataclasses(each)]
-
-
-def _list_dataclasses(kind: Hint) -> list[type]:
-    """Return a dataclass, or those that have registered with a class as kinds of it."""
-    registered = getattr(kind, "__dict__", {}).get("registered")
-    if isinstance(registered, dict):
-        return list(registered.values())
-    return [typing.cast(type, kind)] if dataclasses.is_dataclass(kind) else []
+    groups: list[type] = []
+    for each in typing.get_args(kind) if _is_union(kind) else (kind,):
+        registered = getattr(each, "__dict__", {}).get("registered")
+        if isinstance(registered, dict):
+            groups += registered.values()
+        elif dataclasses.is_dataclass(each):
+            groups.append(typing.cast(type, each))
+    return groups
 
 
 def get_optional(kind: Hint) -> Hint:
@@ -184,8 +176,10 @@ def _describe_tuple(kind: Hint) -> str:
 
 def is_of_type(value: Any, kind: Hint) -> bool:
     """Return whether a value is of a field's type; any text passes for one of its names."""
-    if (inner := get_optional(kind)) is not None:
-        return value is None or is_of_type(value, inner)
+    if kind is Value:
+        return True
+    if _is_union(kind) and not list_groups(kind):
+        return any(is_of_type(value, each) for each in typing.get_args(kind))
     if get_origin(kind) is tuple:
         return isinstance(value, tuple) and _has_item_types(value, kind)
     if is_weights(kind):
@@ -209,6 +203,11 @@ def _has_item_types(values: tuple, kind: Hint) -> bool:
     if kinds[-1] is ...:
         return all(is_of_type(value, kinds[0]) for value in values)
     return len(values) == len(kinds) and all(map(is_of_type, values, kinds))
+
+
+def check_types(settings: object) -> None:
+    """Refuse, by dotted name, values of a wrong type; NaN and infinity count as wrong."""
+    _check(settings, type(settings), "")
 
 
 def _check(value: object, kind: Hint, name: str) -> None:
