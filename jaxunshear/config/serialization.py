@@ -5,9 +5,7 @@
 """
 
 import dataclasses
-import os
 import typing
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -139,16 +137,6 @@ def load_settings(model: Path) -> Experiment:
             f"such as runs/demo, or released weights{f' ({names})' if names else ''}"
         )
     return from_json(read_object(file), str(file))
-
-
-def make_distinct_names(folders: Sequence[Path]) -> list[str]:
-    """Return the folders' names, or as much of the ends of their paths as distinguishes them."""
-    parts = [Path(os.path.abspath(folder)).parts for folder in folders]
-    for count in range(1, max(map(len, parts))):
-        names = ["/".join(part[-count:]) for part in parts]
-        if len(set(names)) == len(names):
-            return names
-    return [str(folder) for folder in folders]
 
 
 @dataclass(frozen=True)
