@@ -36,6 +36,7 @@ DEFAULT_RAY_CORES = 2  # for each row or chunk
 
 
 def run_stages(arguments: argparse.Namespace, command: str) -> int:
+    from jaxunshear.config.rules import validate
     from jaxunshear.config.serialization import find_model_folder
 
     ray_options = _read_engine_options(arguments)
@@ -48,7 +49,8 @@ def run_stages(arguments: argparse.Namespace, command: str) -> int:
             _score_recordings(experiment, arguments, command)
             return 0
     else:
-        experiment = _read_experiment(arguments)
+        experiment = _apply_recordings(read_base(arguments, arguments.fields), arguments)
+        validate(experiment)
     networks = list_trained_networks(experiment)
     if network := getattr(arguments, "network", None):
         if network not in networks:
@@ -115,14 +117,6 @@ def _apply_recordings(experiment: Experiment, arguments: argparse.Namespace) -> 
 
     folder = str(arguments.recordings or "")
     return set_recordings(experiment, folder, folder) if folder else experiment
-
-
-def _read_experiment(arguments: argparse.Namespace) -> Experiment:
-    from jaxunshear.config.rules import validate
-
-    experiment = _apply_recordings(read_base(arguments, arguments.fields), arguments)
-    validate(experiment)
-    return experiment
 
 
 def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:

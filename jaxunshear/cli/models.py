@@ -24,8 +24,7 @@ GEOMETRY_COLUMNS = (
 )
 SERVO_COLUMNS = ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")
 OBJECT_COLUMNS = (
-    *("name", "walks", "closed", "iou", "iou_felt"),
-    *("mean_mm", "hausdorff_mm", "height_rms_mm"),
+    *("name", "walks", "closed", "iou", "iou_felt", "mean_mm", "hausdorff_mm", "height_rms_mm"),
 )
 
 
@@ -35,15 +34,14 @@ def infer(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.files import write_json
     from jaxunshear.inference.infer import predict_recordings, unshear_recordings
 
-    shared = {"force": arguments.force, "like": arguments.like}
-    if arguments.command == "unshear":
+    name, shared = arguments.command, {"force": arguments.force, "like": arguments.like}
+    if name == "unshear":
         measured = unshear_recordings(arguments.path, arguments.model, arguments.out, **shared)
     else:
         measured = predict_recordings(arguments.path, arguments.model, **shared)
     if arguments.json:
         write_json(arguments.json, replace(measured, command=command))
     counts = {row.name: row.value or 0 for row in measured.rows}
-    name = arguments.command
     return choose_exit_code(counts[f"{name}.images"], counts[f"{name}.left_out"])
 
 
@@ -267,15 +265,15 @@ STIMULUS = option(
 
 
 def _make_command(
-    name: str,
-    text: str,
-    application: Callable[..., object],
-    *options: Option | list[Option],
+    application: Callable[..., object], text: str, out: str, *options: Option | list[Option]
 ) -> Command:
+    name = application.__name__
+
     def run(arguments: argparse.Namespace, command: str) -> int:
         apply(application, arguments, command)
         return 0
 
+    options = (path("--out", "DIR", out), json_file(ROWS), *options)
     return Command(name, text, run, options, is_resumable=name == "servo", checks_out=False)
 
 
@@ -298,11 +296,9 @@ COMMANDS = (
         (path("path", "PATH", IMAGES), *CAMERA_MODEL, json_file()),
     ),
     _make_command(
-        "pins",
-        "find, identify and draw the pins of recorded images",
         pins,
-        path("--out", "DIR", "for the results (pins)"),
-        json_file(ROWS),
+        "find, identify and draw the pins of recorded images",
+        "for the results (pins)",
         path("path", "IMAGES", IMAGES),
         [
             option("--sensor", "NAME", "whose pins they are (tactip331)", default="tactip331"),
@@ -313,21 +309,17 @@ COMMANDS = (
         option("--size", "PX", "of the prepared images (theirs, at most 256)", type=int),
     ),
     _make_command(
-        "geometry",
-        "contact geometry of taps, sheared and unsheared images",
         geometry,
-        path("--out", "DIR", "for the results (geometry)"),
-        json_file(ROWS),
+        "contact geometry of taps, sheared and unsheared images",
+        "for the results (geometry)",
         path("path", "IMAGES", "also of these recordings", nargs="?"),
         MODEL,
         integer("--contacts", "fresh ones to be scored on, at least 5 of each shape (300)", 300),
     ),
     _make_command(
-        "servo",
-        "follow the outlines of objects by touch, in the simulator",
         servo,
-        path("--out", "DIR", "for the results (servo)"),
-        json_file(ROWS),
+        "follow the outlines of objects by touch, in the simulator",
+        "for the results (servo)",
         MODEL,
         STIMULUS,
         integer("--starts", "for each way of perceiving (5)", 5),
@@ -338,11 +330,9 @@ COMMANDS = (
         integer("--seed", "of the starts (0)", 0),
     ),
     _make_command(
-        "reconstruct",
-        "complete objects from the walks that `servo` left",
         reconstruct,
-        path("--out", "DIR", "where they are, and results go"),
-        json_file(ROWS),
+        "complete objects from the walks that `servo` left",
+        "where they are, and results go",
         MODEL,
         STIMULUS,
     ),
