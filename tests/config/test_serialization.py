@@ -23,9 +23,7 @@ OTHER = rf"was written by jaxunshear 0\.2\.0, and this is {__version__}: use tha
 def test_settings_that_lack_one_are_refused_by_its_name(name):
     held = to_json(NOW)
     (held if name in held else held["train"]).pop(name)
-    with pytest.raises(
-        UserError, match=rf"does not fit version .*: (train\.)?{name} is missing; .*run"
-    ):
+    with pytest.raises(UserError, match=rf"version .*: (train\.)?{name} is missing; .*run"):
         from_json(held)
 
 
@@ -40,9 +38,7 @@ def test_settings_of_another_version_are_refused_with_its_name():
 def test_settings_that_went_are_refused_by_name():
     held = to_json(NOW)
     held["pins"]["shear_noise"] = 0.0
-    with pytest.raises(
-        UserError, match=r"pins\.shear_noise = 0\.0 is no setting; files of version 0\.2\.0"
-    ):
+    with pytest.raises(UserError, match=r"pins\.shear_noise = 0\.0 is no setting; files of"):
         from_json(held)
 
 
@@ -67,18 +63,13 @@ def test_a_run_of_another_version_does_not_go_on(tmp_path):
         run_stages(NOW, (), tmp_path, tmp_path, "none")
     write_json(folder / "experiment.json", to_json(NOW))
     run_stages(NOW, (), tmp_path, tmp_path, "none")
-    assert read_json(folder / "experiment.json") == add_version(
-        read_json(folder / "experiment.json")
-    )
+    assert read_json(folder / "experiment.json")["version"] == __version__
 
 
 def test_a_training_of_another_version_is_neither_continued_nor_read(tmp_path):
     net = PinUnshear()
-    settings = {
-        "kind": "pin_unshear",
-        "net": vars(net),
-        "training": dataclasses.asdict(NOW.train_pins),
-    }
+    training = dataclasses.asdict(NOW.train_pins)
+    settings = {"kind": "pin_unshear", "net": vars(net), "training": training}
     write_settings(tmp_path, settings)
     write_settings(tmp_path, settings)
     assert read_net(tmp_path) == net
@@ -88,7 +79,5 @@ def test_a_training_of_another_version_is_neither_continued_nor_read(tmp_path):
             act(tmp_path)
     del settings["net"]["apart"]
     write_json(tmp_path / "model.json", settings)
-    with pytest.raises(
-        UserError, match=r"'apart' \(files of version 0\.2\.0 and earlier are not read\)"
-    ):
+    with pytest.raises(UserError, match=r"'apart' \(files of version 0\.2\.0 and earlier"):
         read_net(tmp_path)
