@@ -33,8 +33,7 @@ class Ranges:
     """Ranges from which poses and slides are drawn uniformly (paper section 3.2)."""
 
     lateral_mm: NotNegative = 5.0  # x and y within +- this
-    # the text's "[-45, -45]" read as +-45
-    yaw_deg: Annotated[float, between(0, 180)] = 45.0
+    yaw_deg: Annotated[float, between(0, 180)] = 45.0  # the text's "[-45, -45]" read as +-45
     depth_min_mm: Positive = 1.0  # indentation depth from this
     depth_max_mm: float = 6.0  # to this
     move_mm: NotNegative = 2.5  # slide offset within +- this, along x or y or both, by chance
@@ -73,10 +72,7 @@ class SourceSettings(DataSettings):
     contacts: ClassVar[str] = "other data"  # what networks learn from, in messages
 
     def get_simulated(self, what: str) -> "PairedData":
-        """Return these settings as those of simulated contacts, which `what` needs.
-
-        Raises UserError.
-        """
+        """Return the settings of simulated contacts. Raises UserError, as `what` needs these."""
         if isinstance(self, PairedData):
             return self
         raise UserError(

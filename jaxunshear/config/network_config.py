@@ -4,7 +4,9 @@
 >>> config.training.losses, config.digest
 
 A config holds all that decides the weights of a network, and nothing else: two experiments whose
-configs are equal can share the training, as the rows of a sweep do.
+configs are equal can share the training, as the rows of a sweep do. Four functions derive it from
+an experiment: `_list_helpers` the networks that it learns from, `_select_source` its data,
+`_select_training` its losses and schedule, `_select_net` its size and parts.
 """
 
 from collections.abc import Sequence
@@ -26,7 +28,6 @@ from jaxunshear.config.networks import (
     UNET,
     NetSettings,
     NetworkSpec,
-    PinNet,
     PinPoseNet,
     PinRenderer,
     PinUnshear,
@@ -35,6 +36,7 @@ from jaxunshear.config.networks import (
 )
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.training import Training, drop_pair_losses, uses_teacher
+from jaxunshear.files import Json
 
 TEACHER_SEED = 1000  # is added to the seed of the experiment
 HELPERS = (RENDERER, TEACHER, POSENET_SHEARED)  # networks that others learn from, in their order
@@ -172,9 +174,7 @@ def _select_net(experiment: Experiment, spec: NetworkSpec) -> NetSettings:
     """Select the settings of a network, derived from those that networks of its kind share."""
     if spec.make_settings is not None:
         return cast(NetSettings, spec.make_settings(experiment))
-    if spec.role == "renders":
-        return PinRenderer(**_list_dense_settings(experiment.pins))
-    if uses_pins(experiment):
+    if uses_pins(experiment) or spec.role == "renders":
         return _select_pin_net(experiment, spec)
     if spec.role == "reads poses":
         return experiment.posenet
@@ -192,13 +192,11 @@ def _select_pin_net(experiment: Experiment, spec: NetworkSpec) -> NetSettings:
         code = pins.shear_code if spec.name == DISENTANGLED else 0
         used = replace(pins, direct_convolved=(), turned=0.0, shear_code=code)
         return PinUnshear(**asdict(used))
-    settings = _list_dense_settings(pins)
+    settings: Json = {name: getattr(pins, name) for name in ("hidden", "layers", "noise_px")}
+    if spec.role == "renders":
+        return PinRenderer(**settings)
     if spec.learns_from == "slides":
         # simulated pins are turned by domain randomisation, without a network that knows of it
         turned = 0.0 if experiment.paired.is_simulated else pins.turned
         settings |= {"turned": turned, "convolved": pins.direct_convolved}
     return PinPoseNet(**settings)
-
-
-def _list_dense_settings(pins: PinNet) -> dict:
-    return {"hidden": pins.hidden, "layers": pins.layers, "noise_px": pins.noise_px}
