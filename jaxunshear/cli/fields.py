@@ -6,14 +6,7 @@ from textwrap import wrap
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import NOT_SETTABLE, format_value
-from jaxunshear.config.types import (
-    Hint,
-    describe_hint,
-    get_origin,
-    list_choices,
-    list_groups,
-    list_hints,
-)
+from jaxunshear.config.types import describe_hint, get_origin, list_choices, list_groups, list_hints
 from jaxunshear.errors import UserError
 
 FLAG = "--help-fields"
@@ -82,7 +75,10 @@ def _format_field(name: str, kinds: list[type], settings: object) -> str:
         meaning = " ".join(
             f"Of {kind}: {text[:1].lower()}{text[1:]}." for kind, text in meanings.items()
         )
-    text = f"{_describe_accepted(list_hints(kinds[0])[name])}. {meaning}".rstrip()
+    hint = list_hints(kinds[0])[name]
+    is_list, choices = get_origin(hint) is tuple, ", ".join(list_choices(hint))
+    accepted = f"some of {choices}" if is_list and choices else describe_hint(hint)
+    text = f"{accepted}. {meaning}".rstrip()
     lines = wrap(text, WIDTH, initial_indent=" " * 4, subsequent_indent=" " * 4)
     return "\n".join([f"{name} {values}", *lines])
 
@@ -94,12 +90,6 @@ def _format_value(name: str, kind: type, settings: object) -> str:
     if field.default_factory is not dataclasses.MISSING:
         return format_value(field.default_factory())
     return "" if field.default is dataclasses.MISSING else format_value(field.default)
-
-
-def _describe_accepted(hint: Hint) -> str:
-    choices = list_choices(hint)
-    is_list = get_origin(hint) is tuple and choices
-    return f"some of {', '.join(choices)}" if is_list else describe_hint(hint)
 
 
 def _read_meaning(kind: type, field: str) -> str:

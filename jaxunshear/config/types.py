@@ -181,28 +181,23 @@ def is_of_type(value: Any, kind: Hint) -> bool:
     if _is_union(kind) and not list_groups(kind):
         return any(is_of_type(value, each) for each in typing.get_args(kind))
     if get_origin(kind) is tuple:
-        return isinstance(value, tuple) and _has_item_types(value, kind)
+        kinds = typing.get_args(kind)
+        if not isinstance(value, tuple):
+            return False
+        if kinds[-1] is ...:
+            return all(is_of_type(item, kinds[0]) for item in value)
+        return len(value) == len(kinds) and all(map(is_of_type, value, kinds))
     if is_weights(kind):
         return isinstance(value, Mapping) and all(
             isinstance(name, str) and is_of_type(weight, float) for name, weight in value.items()
         )
     if list_choices(kind):
         return isinstance(value, (str, *list_groups(kind)))
-    if kind is bool:
-        return isinstance(value, bool)
-    if isinstance(value, bool):  # is an int to Python
-        return False
+    if kind is bool or isinstance(value, bool):  # a bool is an int to Python
+        return kind is bool and isinstance(value, bool)
     if kind is float:
         return isinstance(value, int | float) and abs(value) <= sys.float_info.max
     return isinstance(value, kind)
-
-
-def _has_item_types(values: tuple, kind: Hint) -> bool:
-    """Return whether the items of a tuple are of the types that `kind`, a tuple type, says."""
-    kinds = typing.get_args(kind)
-    if kinds[-1] is ...:
-        return all(is_of_type(value, kinds[0]) for value in values)
-    return len(values) == len(kinds) and all(map(is_of_type, values, kinds))
 
 
 def check_types(settings: object) -> None:
