@@ -3,6 +3,7 @@
 import errno
 import json
 import re
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear import cli
+from jaxunshear.cli import main
 from jaxunshear.cli.program import RESTART
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.serialization import to_json
@@ -301,3 +303,52 @@ def test_help_names_each_command_once(command):
     shown = command("--help").out
     for name in cli.COMMANDS:
         assert len(re.findall(rf"^  {name} ", shown, re.M)) == 1, name
+
+
+def test_without_the_extra_one_line_names_it(command, absent):
+    absent("nicegui")
+    answer = command("explore")
+    assert answer.code == 2 and "`explore`" in answer.err and answer.err.count("\n") == 1
+
+
+def test_ports_that_cannot_be_had(command):
+    pytest.importorskip("nicegui", reason="needs the extra `explore`")
+    assert "--port 0" in command("explore", "--port", 0).err
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        answer = command("explore", "--port", taken.getsockname()[1])
+    assert answer.code == 2 and "name another" in answer.err
+
+
+def test_a_calibration_writes_statistics_and_parameters(tmp_path, monkeypatch):
+    rows = {"rows": [{"name": "pin spacing"}], "parameters": [{"name": "friction"}]}
+    monkeypatch.setattr("jaxunshear.calibration.calibrate.calibrate", lambda recordings, out: rows)
+    file = tmp_path / "calibration.json"
+    assert main(["calibrate", "recordings", "--json", str(file)]) == 0
+    assert json.loads(file.read_text())["rows"] == rows["rows"] + rows["parameters"]
+
+
+def test_recordings_that_are_not_there_are_refused_in_one_line(command):
+    answer = command("calibrate", "nowhere")
+    assert (answer.code, answer.err.count("\n")) == (2, 1) and "nowhere" in answer.err
+
+
+def test_a_folder_cannot_be_the_file_of_rows(tmp_path, capsys):
+    assert main(["calibrate", "recordings", "--json", str(tmp_path)]) == 2
+    assert "is a folder" in capsys.readouterr().err
+    (tmp_path / "file").touch()
+    assert (
+        main(["calibrate", "recordings", "--json", str(tmp_path / "file" / "deeper" / "rows.json")])
+        == 2
+    )
+    assert f"{tmp_path / 'file'} is a file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words", [("calibrate", "recordings"), ("run", "experiments/tiny.py"), ("servo",)]
+)
+def test_a_file_cannot_be_the_folder_of_results(tmp_path, capsys, words):
+    (tmp_path / "file").touch()
+    assert main([*words, "--out", str(tmp_path / "file")]) == 2
+    assert f"--out {tmp_path / 'file'} is a file: name a folder" in capsys.readouterr().err
+    assert main([*words, "--out", str(tmp_path / "file" / "deeper")]) == 2
+    assert f"{tmp_path / 'file'} is a file: name another folder" in capsys.readouterr().err

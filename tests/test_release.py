@@ -1,6 +1,7 @@
 """Weights released from a run: complete, minimal, found by name, and checked for damage."""
 
 import shutil
+from copy import deepcopy
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -32,14 +33,8 @@ NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
 POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
 SEEN = Preprocess(size=SIZE)
 TARGETS = targets.make_range_targets((), Ranges())
-EXPERIMENT = Experiment(
-    "small",
-    "A claim.",
-    unshear=NET,
-    posenet=POSENET,
-    paired=PairedData(preprocess=SEEN),
-    pose=PoseData(preprocess=SEEN),
-)
+DATA = {"paired": PairedData(preprocess=SEEN), "pose": PoseData(preprocess=SEEN)}
+EXPERIMENT = Experiment("small", "A claim.", unshear=NET, posenet=POSENET, **DATA)
 LEARNT = {"origin": {"set": "tactip_paired"}, "data": ["ab"], "start": "1234"}
 RESULTS = {
     "settings": asdict(EXPERIMENT),
@@ -102,12 +97,10 @@ def test_a_card_names_the_machine_that_trained_where_another_one_measured():
 
 
 def test_a_card_gives_how_far_slides_twist_and_the_sensor_leans():
-    settings = RESULTS["settings"]
-    ranges = settings["paired"]["ranges"]
     assert "slides up to 2.5 mm. Not" in card_of(RESULTS)
-    wide = {"ranges": ranges | {"twist_deg": 5.0, "tilt_deg": 25.0}}
-    wider = settings | {"paired": settings["paired"] | wide}
-    text = card_of(RESULTS | {"settings": wider})
+    wider = deepcopy(RESULTS)
+    wider["settings"]["paired"]["ranges"] |= {"twist_deg": 5.0, "tilt_deg": 25.0}
+    text = card_of(wider)
     assert "slides up to 2.5 mm, twist up to 5 deg, tilt up to 25 deg. Not" in text
 
 

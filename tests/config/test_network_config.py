@@ -122,14 +122,9 @@ def record_training(monkeypatch, tmp_path):
             fields = [sorted(batch) for batch in data.validation()]
             learnt = (task.kind, task.net, task.targets, task.weights)
             calls.append((learnt, training, seed, fields, data.epoch_images, provenance))
-            return trainer.TrainingSummary(
-                steps=1,
-                parameters=1,
-                best_step=1,
-                best_loss=1.0,
-                train_seconds=1.0,
-                images_per_second=1.0,
-            )
+            counts = dict.fromkeys(("steps", "parameters", "best_step"), 1)
+            measured = ("best_loss", "train_seconds", "images_per_second")
+            return trainer.TrainingSummary(**counts, **dict.fromkeys(measured, 1.0))
 
         def open_set(*words):
             calls.append(words)
