@@ -142,8 +142,10 @@ def compare_settings(runs: Sequence[Run]) -> dict[str, list[str]]:
     """Compare settings: the values in all runs of each one that differs, by dotted name."""
     settings = [dict(run.results.settings) for run in runs]
     lists = [list_differences(settings[0], other) for other in settings[1:]]
-    names = sorted(set().union(*lists) - NAME_SETTINGS)
-    return {name: [_format_setting(values, name) for values in settings] for name in names}
+    differing = {}
+    for name in sorted(set().union(*lists) - NAME_SETTINGS):
+        differing[name] = [_format_setting(values, name) for values in settings]
+    return differing
 
 
 def _format_setting(value: object, name: str) -> str:

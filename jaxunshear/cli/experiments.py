@@ -4,7 +4,6 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from jaxunshear.cli.program import (
     DATA,
@@ -17,12 +16,21 @@ from jaxunshear.cli.program import (
     path,
 )
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.fields import override_fields
+from jaxunshear.config.load import load_experiment
 from jaxunshear.config.network_config import list_trained_networks
+from jaxunshear.config.rules import validate
+from jaxunshear.config.serialization import apply_preset, find_model_folder, load_settings
+from jaxunshear.config.sweep import (
+    Sweep,
+    check_sweep,
+    get_base,
+    load_sweep,
+    override_base,
+    parse_seeds,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.output_checks import check_outside
-
-if TYPE_CHECKING:
-    from jaxunshear.config.sweep import Sweep
 
 NETWORKS = "networks"  # stands for those of the experiment
 STAGES = {
@@ -36,8 +44,6 @@ DEFAULT_RAY_CORES = 2  # for each row or chunk
 
 
 def run_stages(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear.config.rules import validate
-    from jaxunshear.config.serialization import find_model_folder
 
     ray_options = _read_engine_options(arguments)
     if arguments.command == "fit":
@@ -89,10 +95,6 @@ def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experimen
 
     It has no recordings yet.
     """
-    from jaxunshear.config.fields import override_fields
-    from jaxunshear.config.load import load_experiment
-    from jaxunshear.config.serialization import find_model_folder, load_settings
-    from jaxunshear.config.sweep import get_base
     from jaxunshear.fit import BASE_EXPERIMENT
 
     if arguments.command == "sweep":
@@ -106,7 +108,6 @@ def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experimen
 
 
 def _apply_sensor(experiment: Experiment, arguments: argparse.Namespace) -> Experiment:
-    from jaxunshear.config.serialization import apply_preset
 
     file = arguments.sensor_from
     return apply_preset(experiment, file) if file else experiment
@@ -121,8 +122,6 @@ def _apply_recordings(experiment: Experiment, arguments: argparse.Namespace) -> 
 
 def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
     """Write the experiment of `fit` beside its results."""
-    from jaxunshear.config.fields import override_fields
-    from jaxunshear.config.rules import validate
     from jaxunshear.fit import BASE_EXPERIMENT, set_recordings, write_experiment
 
     if not (arguments.taps or arguments.slides):
@@ -138,7 +137,6 @@ def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
 
 
 def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
-    from jaxunshear.config.serialization import load_settings
 
     if arguments.fields or arguments.sensor_from:
         name = arguments.fields[0] if arguments.fields else "--sensor-from"
@@ -170,8 +168,7 @@ def _score_recordings(experiment: Experiment, arguments: argparse.Namespace, com
         write_record(arguments.json, build_measurements(results))
 
 
-def _read_sweep(arguments: argparse.Namespace, fields: Sequence[str]) -> "Sweep":
-    from jaxunshear.config.sweep import load_sweep, override_base
+def _read_sweep(arguments: argparse.Namespace, fields: Sequence[str]) -> Sweep:
 
     sweep = load_sweep(arguments.file)
     return override_base(replace(sweep, base=_apply_sensor(sweep.base, arguments)), fields)
@@ -180,7 +177,6 @@ def _read_sweep(arguments: argparse.Namespace, fields: Sequence[str]) -> "Sweep"
 def sweep(arguments: argparse.Namespace, command: str) -> int:
     """Run a sweep and print its table. Return 0, or 1 if a row failed."""
     ray_options = _read_engine_options(arguments)
-    from jaxunshear.config.sweep import check_sweep, parse_seeds
 
     sweep = _read_sweep(arguments, arguments.fields)
     sweep = replace(sweep, base=_apply_recordings(sweep.base, arguments))

@@ -86,7 +86,7 @@ def _format_field(name: str, kinds: list[type], settings: object) -> str:
 def _format_value(name: str, kind: type, settings: object) -> str:
     if isinstance(settings, kind):
         return format_value(getattr(settings, name))
-    (field,) = (each for each in dataclasses.fields(kind) if each.name == name)
+    field = {each.name: each for each in dataclasses.fields(kind)}[name]
     if field.default_factory is not dataclasses.MISSING:
         return format_value(field.default_factory())
     return "" if field.default is dataclasses.MISSING else format_value(field.default)

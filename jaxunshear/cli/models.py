@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 from jaxunshear.cli.program import ROWS, Command, Option, flag, integer, json_file, option, path
 from jaxunshear.config.outlines import parse_stimulus
+from jaxunshear.config.sensor import Preprocess, get_sensor
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.errors import UserError
+from jaxunshear.files import format_csv, to_builtins, write_bytes, write_json, write_npz, write_text
 from jaxunshear.output_checks import check_new_folder, check_not_among, check_outside
 from jaxunshear.results.folders import find_results_folder
 
@@ -31,7 +33,6 @@ OBJECT_COLUMNS = (
 def infer(arguments: argparse.Namespace, command: str) -> int:
     from dataclasses import replace
 
-    from jaxunshear.files import write_json
     from jaxunshear.inference.infer import predict_recordings, unshear_recordings
 
     name, shared = arguments.command, {"force": arguments.force, "like": arguments.like}
@@ -87,10 +88,8 @@ def apply(
 
 
 def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None") -> object:
-    from jaxunshear.config.sensor import Preprocess, get_sensor
     from jaxunshear.data.recorded_pins import find_pins, summary
     from jaxunshear.data.recordings import read_recordings
-    from jaxunshear.files import write_bytes, write_npz, write_text
     from jaxunshear.perception.lattice_fitting import make_layout, read_layout
 
     if not arguments.path.exists():
@@ -115,7 +114,6 @@ def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None")
     else:
         lattice = make_layout(get_sensor(arguments.sensor))
     found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
-    from jaxunshear.files import format_csv, to_builtins
     from jaxunshear.report.pin_figure import plot_pins
 
     arrays = {
@@ -134,10 +132,8 @@ def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None")
 
 
 def geometry(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
-    from jaxunshear.config.sensor import Preprocess
     from jaxunshear.data.recordings import read_recordings
     from jaxunshear.downstream.geometry_scores import estimate_recorded_heights, score_geometry
-    from jaxunshear.files import to_builtins, write_bytes
     from jaxunshear.report.geometry_figure import plot_contacts, plot_recordings
     from jaxunshear.text_table import format_text_table
 
@@ -161,7 +157,6 @@ def geometry(arguments: argparse.Namespace, out: Path, model: "TrainedModel") ->
 def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
     from jaxunshear.downstream.servo import ServoTask
     from jaxunshear.downstream.servo_scores import servo
-    from jaxunshear.files import write_bytes
     from jaxunshear.report.trajectory_figure import plot_trajectories
     from jaxunshear.results.applications import TrajectoryScore, TrajectoryScores
     from jaxunshear.text_table import format_text_table
@@ -186,7 +181,6 @@ def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> ob
 def reconstruct(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
     from jaxunshear.downstream.object_reconstruction import reconstruct
     from jaxunshear.downstream.servo import load_trajectories
-    from jaxunshear.files import write_bytes
     from jaxunshear.report.object_figure import PICTURES, plot_objects
     from jaxunshear.results.applications import ObjectScore, ObjectScores
     from jaxunshear.text_table import format_text_table

@@ -16,7 +16,7 @@ from typing import Any, NoReturn, TypeAlias
 from jaxunshear.code_version import read_source
 from jaxunshear.environment import check_environment
 from jaxunshear.errors import Note, UserError
-from jaxunshear.files import Json, is_disk_full
+from jaxunshear.files import Json, is_disk_full, write_json
 from jaxunshear.output_checks import check_new_file, check_new_folder, check_outside
 
 RESTART = "the same command begins anew"
@@ -212,7 +212,6 @@ def write_measurement(
     """Write `content` with command, machine and versions into `file`, if there is one."""
     if file is None:
         return
-    from jaxunshear.files import write_json
     from jaxunshear.metrics.machine import describe_provenance
 
     write_json(file, describe_provenance(command, *packages) | content)

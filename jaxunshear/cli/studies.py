@@ -13,7 +13,9 @@ from jaxunshear.cli.program import (
     path,
     write_measurement,
 )
+from jaxunshear.config.serialization import load_settings
 from jaxunshear.errors import UserError
+from jaxunshear.files import to_builtins, write_bytes, write_json
 from jaxunshear.output_checks import check_not_among
 
 COMPARE_OUT = Path("runs/compare")
@@ -22,7 +24,6 @@ COMPARE_OUT = Path("runs/compare")
 def doctor(arguments: argparse.Namespace, command: str) -> int:
     """Run the command; return 0, or 1 if no command can use the frames."""
     from jaxunshear.doctor import check_recordings, describe
-    from jaxunshear.files import to_builtins
 
     diagnosis = check_recordings(arguments.path)
     print("\n".join(describe(diagnosis)))
@@ -87,9 +88,7 @@ def release(arguments: argparse.Namespace, command: str) -> int:
 
 
 def ablate(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear.config.serialization import load_settings
     from jaxunshear.evaluation import code_exchange, code_swaps, leakage, leakage_table
-    from jaxunshear.files import write_bytes, write_json
 
     experiment = load_settings(arguments.run)
     if arguments.leakage:
