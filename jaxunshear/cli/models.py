@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -13,6 +14,12 @@ from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.errors import UserError
 from jaxunshear.files import format_csv, to_builtins, write_bytes, write_json, write_npz, write_text
 from jaxunshear.output_checks import check_new_folder, check_not_among, check_outside
+from jaxunshear.results.applications import (
+    ObjectScore,
+    ObjectScores,
+    TrajectoryScore,
+    TrajectoryScores,
+)
 from jaxunshear.results.folders import find_results_folder
 
 if TYPE_CHECKING:
@@ -31,8 +38,6 @@ OBJECT_COLUMNS = (
 
 
 def infer(arguments: argparse.Namespace, command: str) -> int:
-    from dataclasses import replace
-
     from jaxunshear.inference.infer import predict_recordings, unshear_recordings
 
     name, shared = arguments.command, {"force": arguments.force, "like": arguments.like}
@@ -158,7 +163,6 @@ def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> ob
     from jaxunshear.downstream.servo import ServoTask
     from jaxunshear.downstream.servo_scores import servo
     from jaxunshear.report.trajectory_figure import plot_trajectories
-    from jaxunshear.results.applications import TrajectoryScore, TrajectoryScores
     from jaxunshear.text_table import format_text_table
 
     tasks = [
@@ -182,7 +186,6 @@ def reconstruct(arguments: argparse.Namespace, out: Path, model: "TrainedModel")
     from jaxunshear.downstream.object_reconstruction import reconstruct
     from jaxunshear.downstream.servo import load_trajectories
     from jaxunshear.report.object_figure import PICTURES, plot_objects
-    from jaxunshear.results.applications import ObjectScore, ObjectScores
     from jaxunshear.text_table import format_text_table
 
     model.require_simulation("reconstruct")  # a model of recordings has no trajectories
