@@ -15,6 +15,7 @@ import numpy as np
 from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.apps.explore.explorer import MOST_SLIDE_MM, Explorer, Touch, make_explorer
 from jaxunshear.config.data import Ranges
+from jaxunshear.environment import keep_freed_memory
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.inference.trained_model import load_model

@@ -18,13 +18,13 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from benchmarks.training_steps import make_noise_images, make_timed_step
-from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.config.networks import PinUnshear, UnshearNet
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.config.training import Training
 from jaxunshear.data.chunks import pack_bits
 from jaxunshear.data.reader import Batch, Reader
+from jaxunshear.environment import keep_freed_memory
 from jaxunshear.files import Json
 from jaxunshear.models.registry import InitFacts
 from jaxunshear.progress import Progress

@@ -20,13 +20,11 @@ import numpy as np
 
 from benchmarks.multiplications import TARGETS, count_multiplications, count_posenet_multiplications
 from benchmarks.training_steps import init_variables, make_noise_images, make_timed_step
-from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.apps.export.parts import ExportedModel
-from jaxunshear.config.networks import PoseNet, UnshearNet
-from jaxunshear.config.registry import DISENTANGLED, POSENET
+from jaxunshear.config.networks import DISENTANGLED, POSENET, PoseNet, UnshearNet
 from jaxunshear.config.training import Training
 from jaxunshear.config.types import check_rules
-from jaxunshear.environment import FAST, PLAIN
+from jaxunshear.environment import FAST, PLAIN, keep_freed_memory
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
 from jaxunshear.inference.forward import UNSHEARED, jit_for_inference, make_forward

@@ -18,13 +18,12 @@ import jax
 import numpy as np
 
 from benchmarks.training_steps import init_variables, make_noise_images, make_timed_step
-from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.config.data import Ranges
-from jaxunshear.config.networks import PoseNet, UnshearNet
-from jaxunshear.config.registry import DISENTANGLED, ENTANGLED, POSENET
+from jaxunshear.config.networks import DISENTANGLED, ENTANGLED, POSENET, PoseNet, UnshearNet
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.config.training import Training
 from jaxunshear.config.types import check_rules
+from jaxunshear.environment import keep_freed_memory
 from jaxunshear.evaluation.network_outputs import make_run
 from jaxunshear.files import Json
 from jaxunshear.models import posenet, unshearnet

@@ -19,11 +19,10 @@ import numpy as np
 from jax import Array
 
 from benchmarks.training_steps import make_timed_step
-from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.config.experiment import PIN_TRAINING
-from jaxunshear.config.image import Camera, Preprocess
 from jaxunshear.config.networks import PinPoseNet, PinUnshear
-from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.sensor import TACTIP_331, Camera, Preprocess
+from jaxunshear.environment import keep_freed_memory
 from jaxunshear.files import Json
 from jaxunshear.models import layer_choice, pin_networks
 from jaxunshear.models.registry import InitFacts

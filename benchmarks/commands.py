@@ -10,8 +10,16 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxunshear.cli.options import ROWS, add_json, new_parser
-from jaxunshear.cli.program import Keep, Parser, add_commands, report_errors, run_tool
+from jaxunshear.cli.program import (
+    ROWS,
+    Keep,
+    Parser,
+    add_commands,
+    add_json,
+    new_parser,
+    report_errors,
+    run_tool,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.level import LEVELS
 

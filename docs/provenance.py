@@ -17,9 +17,8 @@ from docs.code_changes import (
 )
 from jaxunshear.cli import read_base
 from jaxunshear.config.serialization import to_json
-from jaxunshear.files import Json
+from jaxunshear.files import Json, to_builtins
 from jaxunshear.results.measurement import Source
-from jaxunshear.serialization import to_builtins
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"

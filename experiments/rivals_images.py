@@ -21,7 +21,7 @@ taps beside the slides. Three seeds, beside a network that unshears, are still t
 
 from dataclasses import replace
 
-from jaxunshear.config.registry import POSENET_SHEARED
+from jaxunshear.config.networks import POSENET_SHEARED
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
 

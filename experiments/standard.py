@@ -19,8 +19,7 @@ from dataclasses import replace
 
 from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.networks import UnshearNet
-from jaxunshear.config.registry import ALL_NETWORKS
+from jaxunshear.config.networks import ALL_NETWORKS, UnshearNet
 from jaxunshear.config.training import POSENET_TRAINING, Training
 
 POSENET = replace(

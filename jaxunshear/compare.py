@@ -5,6 +5,7 @@ for both. The runs' folders are read; nothing is written there.
 """
 
 import itertools
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +15,6 @@ from jaxunshear.config.configs import list_differences
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import read_object_if_sound, write_text
-from jaxunshear.model_folders import make_distinct_names
 from jaxunshear.progress import format_duration
 from jaxunshear.report import html, wording
 from jaxunshear.report.training_sections import RETRAIN_REMEDY
@@ -50,6 +50,10 @@ class Run(NamedTuple):
     @property
     def results(self) -> Results:
         return self.scores.outcome.evaluated_results
+
+    @property
+    def input(self) -> str | None:
+        return self.results.settings["unshear"].get("input")
 
 
 class Score(NamedTuple):
@@ -91,8 +95,11 @@ def write_comparison(folders: Sequence[Path], out: Path) -> tuple[str, Path]:
     path = out / f"{re.sub(r'[^A-Za-z0-9._]+', '-', '-'.join(names))[:MAX_NAME_LENGTH]}.html"
     write_text(path, page)
     rows = [dict(zip(head, row, strict=False)) for row in _format_scores(main) + times]
-    lines = [*notes, format_text_table(rows, head), _list_settings(settings), CAVEAT]
-    return "\n".join(lines), path
+    listed = [f"{name} {' | '.join(values)}" for name, values in settings.items()]
+    text = f"settings that differ: {'; '.join(listed[:MAX_LISTED_SETTINGS]) or 'none'}"
+    if len(listed) > MAX_LISTED_SETTINGS:
+        text += f" and {len(listed) - MAX_LISTED_SETTINGS} more"
+    return "\n".join([*notes, format_text_table(rows, head), text, CAVEAT]), path
 
 
 def read_runs(folders: Sequence[Path]) -> list[Run]:
@@ -102,7 +109,17 @@ def read_runs(folders: Sequence[Path]) -> list[Run]:
     for folder, other in itertools.combinations(folders, 2):
         if folder.resolve() == other.resolve():
             raise UserError(f"{folder} and {other} are the same run: name each run once")
-    return list(map(_read_run, make_distinct_names(folders), folders))
+    return list(map(_read_run, _make_distinct_names(folders), folders))
+
+
+def _make_distinct_names(folders: Sequence[Path]) -> list[str]:
+    """Return the folders' names, or as much of the ends of their paths as distinguishes them."""
+    parts = [Path(os.path.abspath(folder)).parts for folder in folders]
+    for count in range(1, max(map(len, parts))):
+        names = ["/".join(part[-count:]) for part in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [str(folder) for folder in folders]
 
 
 def _read_run(name: str, folder: Path) -> Run:
@@ -124,11 +141,9 @@ def _read_run(name: str, folder: Path) -> Run:
 def compare_settings(runs: Sequence[Run]) -> dict[str, list[str]]:
     """Compare settings: the values in all runs of each one that differs, by dotted name."""
     settings = [dict(run.results.settings) for run in runs]
-    names: set[str] = set()
-    for other in settings[1:]:
-        names.update(list_differences(settings[0], other))
+    lists = [list_differences(settings[0], other) for other in settings[1:]]
     differing = {}
-    for name in sorted(names - NAME_SETTINGS):
+    for name in sorted(set().union(*lists) - NAME_SETTINGS):
         differing[name] = [_format_setting(values, name) for values in settings]
     return differing
 
@@ -146,23 +161,12 @@ def _format_setting(value: object, name: str) -> str:
     return "none" if value in (None, "") else str(value)
 
 
-def _list_settings(settings: dict[str, list[str]]) -> str:
-    lines = [f"{name} {' | '.join(values)}" for name, values in settings.items()]
-    listed = "; ".join(lines[:MAX_LISTED_SETTINGS]) or "none"
-    if len(lines) > MAX_LISTED_SETTINGS:
-        listed += f" and {len(lines) - MAX_LISTED_SETTINGS} more"
-    return f"settings that differ: {listed}"
-
-
 def compare_scores(runs: Sequence[Run]) -> list[Score]:
     """List all scores that any run has, in the order of the first run with them."""
     values = [compute_metrics({0: run.scores}) for run in runs]  # as in a sweep with one seed
     changes = [_compare_to_reference(run, runs[0]) for run in runs]
-    names: dict[str, None] = {}
-    for metrics in values:
-        names |= dict.fromkeys(metrics)
     scores = []
-    for name in names:
+    for name in dict.fromkeys(itertools.chain(*values)):
         if _get_table_name(name) != WITHIN_RUN_TABLE:
             differences = [each.get(name) for each in changes]
             scores.append(Score(name, [each.get(name) for each in values], differences))
@@ -173,7 +177,7 @@ def _compare_to_reference(run: Run, reference: Run) -> dict[str, Figure]:
     """Compute the differences of a run's scores from those of the reference, if comparable."""
     if run is reference or not _has_same_test(run, reference):
         return {}
-    excluded = () if _has_same_input(run, reference) else SIMILARITY_TABLES
+    excluded = () if run.input == reference.input else SIMILARITY_TABLES
     differences = compute_differences({0: run.scores}, {0: reference.scores})
     return {
         name: figure
@@ -194,11 +198,6 @@ def _has_same_test(run: Run, other: Run) -> bool:
     return has_same_contacts({0: run.scores}, {0: other.scores}, "")
 
 
-def _has_same_input(run: Run, other: Run) -> bool:
-    inputs = [each.results.settings["unshear"].get("input") for each in (run, other)]
-    return inputs[0] == inputs[1]
-
-
 def note_obstacles(runs: Sequence[Run]) -> list[str]:
     """Describe each obstacle to the comparison in a line."""
     first, notes = runs[0], []
@@ -206,16 +205,14 @@ def note_obstacles(runs: Sequence[Run]) -> list[str]:
         if not _has_same_test(run, first):
             test = f"{run.name} was scored on another test set than {first.name}"
             notes.append(f"{test}: no differences are given")
-        if not _has_same_input(run, first):
+        if run.input != first.input:
             kinds = f"of {run.name} and {first.name} one reads pins, one images"
             notes.append(f"{kinds}: their likeness is not compared")
-    networks: dict[str, None] = {}
-    for run in runs:
-        networks |= dict.fromkeys(run.results.settings["networks"])
-    for run in runs:
-        missing = [name for name in networks if name not in run.results.settings["networks"]]
-        if missing:
-            notes.append(f"{run.name} has no {', '.join(missing)}")
+    networks = [run.results.settings["networks"] for run in runs]
+    for run, own in zip(runs, networks, strict=True):
+        others = dict.fromkeys(itertools.chain(*networks))
+        if missing := ", ".join(name for name in others if name not in own):
+            notes.append(f"{run.name} has no {missing}")
     return notes
 
 
@@ -234,9 +231,9 @@ def _list_main_scores(runs: Sequence[Run]) -> list[str]:
 
 def _format_scores(scores: Sequence[Score]) -> list[list[str]]:
     rows = []
-    for score in scores:
-        changes = (_format_figure(change, "+") for change in score.changes[1:])
-        rows.append([score.name, *map(_format_figure, score.values), *changes])
+    for name, values, changes in scores:
+        differences = (_format_figure(change, "+") for change in changes[1:])
+        rows.append([name, *map(_format_figure, values), *differences])
     return rows
 
 
@@ -249,9 +246,9 @@ def _format_figure(figure: Figure | None, sign: str = "") -> str:
 
 def _format_times(runs: Sequence[Run]) -> list[list[str]]:
     """Format a row of training times for each network."""
-    rows: dict[str, list[str]] = {}
-    for index, run in enumerate(runs):
-        for network, seconds in run.seconds.items():
-            times = rows.setdefault(network, [NONE] * len(runs))
-            times[index] = format_duration(seconds)
-    return [[f"training of {network}", *times] for network, times in rows.items()]
+    rows = []
+    for network in dict.fromkeys(itertools.chain(*(run.seconds for run in runs))):
+        seconds = (run.seconds.get(network) for run in runs)
+        times = (NONE if each is None else format_duration(each) for each in seconds)
+        rows.append([f"training of {network}", *times])
+    return rows

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.sensor import TACTIP_127, TACTIP_331
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Preprocess
 from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
 from jaxunshear.data.labels import Problem
 from jaxunshear.data.recorded_contacts import MIN_MOVE
@@ -45,7 +44,7 @@ NO_PINS = "no pins are found: frames must show the light pins of a TacTip on a d
 class PinCheck:
     """The pins in the sampled frames of a folder."""
 
-    sampled: int
+    sampled: int  # frames
     median: float  # pins per frame
     layout: str | None  # name of the sensor with this layout; None if no layout fits
     followed: float  # share of the sampled frames in which every pin is identified
@@ -122,7 +121,7 @@ def _check_folder(
     recordings: Recordings, rows: list[int], share: int, problems: list[Problem], progress: Progress
 ) -> FolderCheck:
     """Check the frames in `rows`, which lie in one folder, and add to `problems`."""
-    files = [recordings.files[row] for row in rows]
+    files, root = [recordings.files[row] for row in rows], recordings.path
     sizes: dict[Path, tuple[int, int]] = {}
     for file in files:
         try:
@@ -132,32 +131,26 @@ def _check_folder(
         except UserError as error:
             problems.append(Problem.with_place(file, str(error)))
         progress.advance()
-    width, height = Counter(sizes.values()).most_common(1)[0][0] if sizes else (0, 0)
-    usable = [file for file, size in sizes.items() if size == (width, height)]
-    for file, size in sizes.items():
-        if size != (width, height):
-            text = f"{size[0]} x {size[1]} pixels, where most here have {width} x {height}"
+    usual = Counter(sizes.values()).most_common(1)[0][0] if sizes else (0, 0)
+    usable = [file for file, size in sizes.items() if size == usual]
+    for file, (width, height) in sizes.items():
+        if (width, height) != usual:
+            text = f"{width} x {height} pixels, where most here have {usual[0]} x {usual[1]}"
             problems.append(Problem.with_place(file, text))
-    left_out = {
-        "cannot be read": len(files) - len(sizes),
-        "of another size": len(sizes) - len(usable),
-    }
+    unread, other_size = len(files) - len(sizes), len(sizes) - len(usable)
+    left_out = {"cannot be read": unread, "of another size": other_size}
+    # labels lie above the images in most layouts
+    folder = files[0].parent
+    labelled = folder.parent if folder.name in IMAGE_FOLDERS else folder
+    is_root = root.is_file() or root in (folder, labelled)
     return FolderCheck(
-        _name_folder(recordings.path, files[0].parent),
+        root.absolute().name if is_root else labelled.relative_to(root).as_posix(),
         len(rows),
         {reason: count for reason, count in left_out.items() if count},
-        (width, height),
+        usual,
         _check_pins([usable[i] for i in select_evenly(len(usable), share)]),
         _check_labels(recordings, rows),
     )
-
-
-def _name_folder(root: Path, folder: Path) -> str:
-    """Name the folder of the labels, which lies above that of the images in most layouts."""
-    labelled = folder.parent if folder.name in IMAGE_FOLDERS else folder
-    if root.is_file() or root in (folder, labelled):
-        return root.absolute().name
-    return labelled.relative_to(root).as_posix()
 
 
 def _check_labels(recordings: Recordings, rows: list[int]) -> LabelCheck:

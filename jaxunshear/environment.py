@@ -1,9 +1,11 @@
-"""Checks variables of the environment. Imports JAX only if JAX_PLATFORMS names uncommon devices.
+"""Checks variables of the environment, and keeps freed memory. Imports JAX only where needed.
 
-They may decide on which device work runs and where files are kept, but not what comes out.
+Variables may decide on which device work runs and where files are kept, not what comes out.
 """
 
+import ctypes
 import os
+import sys
 
 from jaxunshear.errors import UserError
 from jaxunshear.files import cache_folder
@@ -17,6 +19,7 @@ COMMON_PLATFORMS = {"", "cpu", "gpu", "cuda", "rocm", "tpu"}
 ROUNDING = ("fast_math", "fast_min_max", "precision")  # in names of XLA's flags
 KERNELS_VARIABLE = "JAXUNSHEAR_KERNELS"  # which layers networks have, see `models/layer_choice.py`
 KERNEL_CHOICES = AUTO, PLAIN, FAST = ("auto", "plain", "fast")
+_M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # malloc.h
 DEVICE_COUNT = "JAXUNSHEAR_DEVICES"  # devices of a training, see `training/devices.py`
 
 
@@ -73,3 +76,22 @@ def read_device_count() -> int | None:
     if word != "all" and not (word.isdecimal() and int(word) >= 1):
         raise UserError(f"{DEVICE_COUNT}={word}: use a number of devices from 1 on, or all")
     return None if word == "all" else int(word)
+
+
+def keep_freed_memory() -> None:
+    """Make glibc keep large freed blocks, and JAX compute in the calling thread.
+
+    XLA allocates one block for a step's intermediate arrays and frees it after each step. glibc
+    returns such large blocks to the kernel, and getting them back, page by page, cost a third of a
+    training step on two cores. It always returns what threads other than the first allocate.
+    The first has no effect with another C library, the second none if JAX has computed already.
+    """
+    import jax
+
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+    if not sys.platform.startswith("linux"):
+        return
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_M_MMAP_MAX, 0)
+        mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)

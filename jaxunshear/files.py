@@ -1,4 +1,4 @@
-"""Reads and writes files.
+"""Reads, writes and locks files, and turns values into what JSON and CSV can hold.
 
 Files are written beside their place and moved into it: a killed run leaves the old file or the new
 one, never half. Symbolic links are followed. Pipes and devices are written into as they are.
@@ -8,6 +8,8 @@ one, never half. Symbolic links are followed. Pipes and devices are written into
 """
 
 import contextlib
+import csv
+import dataclasses
 import errno
 import hashlib
 import io
@@ -16,12 +18,11 @@ import os
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from jaxunshear.errors import UserError
-from jaxunshear.serialization import to_builtins
 
 if TYPE_CHECKING:
     import numpy as np
@@ -234,3 +235,61 @@ def read_object_if_sound(path: Path) -> Json | None:
         return read_object(path)
     except UserError:
         return None
+
+
+def to_builtins(obj: Any) -> Any:
+    """Convert to built-in types.
+
+    Dataclasses become dictionaries, without fields that are None by default; arrays and their
+    scalars become lists and numbers, paths become text; NaN and infinity become None.
+    """
+    if dataclasses.is_dataclass(obj):
+        values = {}
+        for field in dataclasses.fields(obj):
+            value = getattr(obj, field.name)
+            if value is not None or field.default is not None:
+                values[field.name] = to_builtins(value)
+        return values
+    if isinstance(obj, Mapping):
+        return {str(key): to_builtins(value) for key, value in obj.items()}
+    if isinstance(obj, list | tuple):
+        return [to_builtins(value) for value in obj]
+    if isinstance(obj, float):
+        return obj if obj - obj == 0 else None
+    if obj is None or isinstance(obj, str | bool | int):
+        return obj
+    if isinstance(obj, Path):
+        return str(obj)
+    if hasattr(obj, "tolist"):  # numpy and JAX, without importing either
+        return to_builtins(obj.tolist())
+    raise TypeError(f"{type(obj).__name__} cannot be written as JSON")
+
+
+def format_csv(table: Sequence[Mapping[str, object]]) -> str:
+    """Format a heading with the names in the first row, then a line per row."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(table[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(table)
+    return text.getvalue()
+
+
+@contextlib.contextmanager
+def hold_lock(path: Path, wait: bool) -> Iterator[bool]:
+    """Hold the lock file `path` while the context is open; yield whether it could be had.
+
+    With `wait` it waits until it can. The system frees the lock when the process dies, however it
+    dies; the empty file stays. Raises UserError if the file cannot be written or locked.
+    """
+    from filelock import FileLock, Timeout  # only for this: help must be quick
+
+    with contextlib.ExitStack() as stack:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(FileLock(path, blocking=wait, fallback_to_soft=False))
+            free = True
+        except Timeout:
+            free = False
+        except OSError as error:
+            raise explain_os_error(path, error) from error
+        yield free

@@ -9,8 +9,14 @@ from pathlib import Path
 
 from jaxunshear.config.data import Recorded, RecordedTaps
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.networks import PinNet, UnshearNet
-from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS
+from jaxunshear.config.networks import (
+    DISENTANGLED,
+    POSENET,
+    POSENET_SHEARED,
+    POSENETS,
+    PinNet,
+    UnshearNet,
+)
 from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.config.types import Value
 from jaxunshear.data.recorded_contacts import compute_digest, read_contacts

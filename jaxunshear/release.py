@@ -8,16 +8,15 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.config.registry import REGISTRY
+from jaxunshear.config.networks import REGISTRY
 from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.config.targets import to_json
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
-from jaxunshear.files import Json, read_object, write_json, write_text
+from jaxunshear.files import read_object, to_builtins, write_json, write_text
 from jaxunshear.results.measurement import Machine
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
-from jaxunshear.serialization import to_builtins
 
 RELEASED_PARTS = {
     name: kind.released_parts for name, kind in REGISTRY.items() if kind.released_parts is not None
@@ -66,19 +65,16 @@ def release(run_dir: Path, out: Path) -> Path:
     settings |= {"name": out.name}  # that of a sweep's row names its settings
     if results.recordings is not None:
         write_json(part / FRAME, read_object(run_dir / FRAME))
-        _hide_recordings(settings["paired"])
+        # paths of recordings are nobody else's, and a table of pairs is not released
+        paired = settings["paired"]
+        taps = "recorded taps" if paired["tap_folder"] else ""
+        paired |= {"tap_folder": taps, "slide_folder": "recorded slides", "pairs": ""}
+        if paired["pairing"] == "file":
+            paired["pairing"] = "pose_id"
     write_json(part / "experiment.json", settings)
     write_text(part / CARD, card)
     part.rename(out)
     return out
-
-
-def _hide_recordings(paired: Json) -> None:
-    """Replace the paths of recordings in their settings; a table of pairs is not released."""
-    taps = "recorded taps" if paired["tap_folder"] else ""
-    paired |= {"tap_folder": taps, "slide_folder": "recorded slides", "pairs": ""}
-    if paired["pairing"] == "file":
-        paired["pairing"] = "pose_id"
 
 
 def make_card(results: Results, name: str) -> str:

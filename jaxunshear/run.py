@@ -13,13 +13,11 @@ from jaxunshear.cluster import CallRunner, run_locally
 from jaxunshear.config import configs
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import resolve_network
-from jaxunshear.config.registry import TRAINABLE
+from jaxunshear.config.networks import TRAINABLE
 from jaxunshear.config.serialization import add_version, from_json, to_json
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
-from jaxunshear.files import Json, read_object, write_json
-from jaxunshear.locks import hold_lock
-from jaxunshear.results.record_files import TIMES, read_times
+from jaxunshear.files import hold_lock, read_object, write_json
 from jaxunshear.results.run import Results
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.initial_weights import InitialWeights, list_training_digests, start_folder
@@ -133,22 +131,14 @@ def _make_data(run: _Run) -> bool:
     sets = open_source(run.experiment).make_sets(run.data, engine)
     for name, metadata in sets.items():
         counts = metadata["counts"]
-        print(
-            f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped"
-            f"{_describe_iterations(counts)}"
-        )
+        text = f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped"
+        if iterations := counts.get("iterations"):  # recordings have none
+            text += (
+                f"; slowest contact {iterations['slowest_number']}: {iterations['most']} "
+                f"iterations, the median one {iterations['median']:.0f}"
+            )
+        print(text)
     return not complete
-
-
-def _describe_iterations(counts: Json) -> str:
-    """Describe the slowest contact; nothing for recordings, and for sets that lack the count."""
-    if "iterations" not in counts:
-        return ""
-    iterations = counts["iterations"]
-    return (
-        f"; slowest contact {iterations['slowest_number']}: {iterations['most']} iterations, "
-        f"the median one {iterations['median']:.0f}"
-    )
 
 
 def _list_existing(run: _Run, get_folder: Callable[..., Path]) -> list[bool]:

@@ -4,7 +4,7 @@ import io
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from jaxunshear.config.registry import (
+from jaxunshear.config.networks import (
     DISENTANGLED,
     ENTANGLED,
     ENTANGLED_LARGE,

@@ -1,5 +1,6 @@
 """Commands that put networks to use: what they refuse in one line, before they write."""
 
+import itertools
 import json
 import shutil
 
@@ -9,14 +10,14 @@ from PIL import Image
 
 from jaxunshear.config.data import PairedData, PoseData, Ranges
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.geometry import HEIGHT_METHODS
+from jaxunshear.files import to_builtins
 from jaxunshear.results.applications import TrajectoryScores
 from jaxunshear.results.record_files import SCHEMA, convert_record
-from jaxunshear.serialization import to_builtins
 from tests.helpers.models import init, write_run
 
 TARGETS = make_range_targets((), Ranges())
@@ -37,10 +38,8 @@ def run_of(folder, size, seed=0):
     """Make a run with networks that have learnt nothing."""
     small = experiment(size)
     nets = {"disentangled": small.unshear, "posenet": small.posenet}
-    variables = {
-        "disentangled": init(small.unshear, seed),
-        "posenet": init(small.posenet, 1, TARGETS),
-    }
+    variables = [init(small.unshear, seed), init(small.posenet, 1, TARGETS)]
+    variables = dict(zip(nets, variables, strict=True))
     return write_run(folder / "small", small, nets, variables, TARGETS)
 
 
@@ -117,9 +116,8 @@ def test_servo_then_reconstruct(command, brief, tmp_path, model):
     assert held["schema"] == SCHEMA and held["rows"] == to_builtins(rows)
     rows = held["rows"]
     assert [row["name"] for row in rows] == ["disk/true", "disk/sheared", "disk/disentangled"]
-    assert all(
-        0 <= row["completed"] < 0.1 and row["closed"] == 0 and row["mean_mm"] < 9 for row in rows
-    )
+    assert all(0 <= row["completed"] < 0.1 and row["closed"] == 0 for row in rows)
+    assert all(row["mean_mm"] < 9 for row in rows)
     assert Image.open(out / "disk.png").size[0] > 300
     answer = command("reconstruct", *words)
     assert answer.code == 0, answer.err
@@ -156,12 +154,8 @@ def test_nothing_is_written_among_the_recordings(command, tmp_path, monkeypatch,
     ):
         answer = command(*words)
         assert answer.code == 2 and "lies among the recordings" in answer.err, words
-    assert sorted(path.name for path in tmp_path.rglob("*")) == [
-        "000000.png",
-        "1.png",
-        "images",
-        "others",
-    ]
+    left = sorted(path.name for path in tmp_path.rglob("*"))
+    assert left == ["000000.png", "1.png", "images", "others"]
     assert (tmp_path / "images" / "000000.png").read_bytes() == kept
 
 
@@ -169,29 +163,17 @@ def test_nothing_is_written_among_the_recordings(command, tmp_path, monkeypatch,
 def test_geometry_scores_and_draws(command, brief, tmp_path, model):
     answer = command("geometry", "--model", model, "--contacts", 6, "--out", tmp_path / "out")
     assert answer.code == 0, answer.err
-    rows = {
-        row["name"]: row
-        for row in json.loads((tmp_path / "out" / "geometry.json").read_text())["rows"]
-    }
-    assert set(rows) == {
-        f"{s}/{k}/{w}"
-        for s in ("all", "disk", "clover", "teardrop")
-        for k in ("tap", "sheared", "disentangled", "untouched")
-        for w in HEIGHT_METHODS
-    }
-    assert (
-        rows["all/tap/areas"]["contacts"] == 15
-        and rows["all/disentangled/inverse"]["unmatched"] == 15
-    )
-    assert (
-        rows["all/tap/areas"]["correlation"] > 0.3
-        and "correlation" not in rows["all/disentangled/inverse"]
-    )
+    held = json.loads((tmp_path / "out" / "geometry.json").read_text())
+    rows = {row["name"]: row for row in held["rows"]}
+    shapes = ("all", "disk", "clover", "teardrop")
+    kinds = ("tap", "sheared", "disentangled", "untouched")
+    assert set(rows) == set(map("/".join, itertools.product(shapes, kinds, HEIGHT_METHODS)))
+    areas, inverse = rows["all/tap/areas"], rows["all/disentangled/inverse"]
+    assert areas["contacts"] == 15 and inverse["unmatched"] == 15
+    assert areas["correlation"] > 0.3 and "correlation" not in inverse
     assert rows["all/tap/inverse"]["correlation"] > 0.9
-    assert (
-        rows["all/untouched/inverse"]["largest_mm"] == 0
-        and rows["all/untouched/areas"]["largest_mm"] > 0
-    )
+    assert rows["all/untouched/inverse"]["largest_mm"] == 0
+    assert rows["all/untouched/areas"]["largest_mm"] > 0
     assert (tmp_path / "out" / "geometry.png").is_file()
 
 
@@ -208,24 +190,19 @@ def test_stream_of_a_folder(command, tmp_path, model):
     folder.mkdir()
     rng = np.random.default_rng(0)
     for number in range(3):
-        Image.fromarray(((rng.random((64, 64)) < 0.2) * 255).astype(np.uint8)).save(
-            folder / f"{number}.png"
-        )
+        dots = ((rng.random((64, 64)) < 0.2) * 255).astype(np.uint8)
+        Image.fromarray(dots).save(folder / f"{number}.png")
     (folder / "3.png").write_bytes(b"torn")
     summary = tmp_path / "summary.json"
     words = ("stream", folder, "--model", model, "--no-images", "--json", summary)
     refused = command(*words)
-    assert (
-        refused.code == 1
-        and "skipped 3: its pins are not those of the model's sensor" in refused.err
-    )
+    assert refused.code == 1
+    assert "skipped 3: its pins are not those of the model's sensor" in refused.err
     assert not any("edge_mm" in json.loads(line) for line in refused.out.splitlines())
     answer = command(*words, "--force")
     assert answer.code == 0, answer.err
-    assert (
-        "note: These networks have seen simulated touches only" in answer.err
-        and "note" not in answer.out
-    )
+    assert "note: These networks have seen simulated touches only" in answer.err
+    assert "note" not in answer.out
     lines = [json.loads(line) for line in answer.out.splitlines()]
     assert [("error" in line) for line in lines] == [False, False, False, True]
     assert set(lines[0]) >= {"x_mm", "yaw_deg", "edge_mm", "edge_deg", "confidence", "ms"}

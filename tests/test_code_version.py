@@ -72,11 +72,10 @@ def test_without_git_there_is_no_commit_and_nothing_is_printed(checkout, monkeyp
 
 def test_an_installed_package_has_its_version_alone(tmp_path):
     """Also if it is started in a checkout."""
-    shutil.copytree(
-        code_version.ROOT / "jaxunshear" / "results", tmp_path / "jaxunshear" / "results"
-    )
+    ours, copy = code_version.ROOT / "jaxunshear", tmp_path / "jaxunshear"
+    shutil.copytree(ours / "results", copy / "results")
     for name in ("__init__.py", "version.py", "code_version.py"):
-        shutil.copy(code_version.ROOT / "jaxunshear" / name, tmp_path / "jaxunshear")
+        shutil.copy(ours / name, copy)
     asked = (
         "from jaxunshear.code_version import read_source as read; "
         "print(read().version, read().commit, read().clean)"

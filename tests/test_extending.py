@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.config import losses, sensor
-from jaxunshear.config import registry as names
+from jaxunshear.config import networks as names
 from jaxunshear.config.configs import describe_set
 from jaxunshear.config.data import SourceSettings
 from jaxunshear.config.fields import override_fields

@@ -1,10 +1,12 @@
-"""Files appear complete or not at all, and every failure names its path."""
+"""Files appear complete or not at all, locks have one holder; every failure names its path."""
 
 import contextlib
 import errno
 import io
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +15,14 @@ from PIL import Image
 
 from jaxunshear import files
 from jaxunshear.errors import UserError
+from jaxunshear.files import hold_lock
 from jaxunshear.output_checks import check_new_file
 
 
 def test_json_round_trip_of_arrays_paths_and_nan(tmp_path):
     path = tmp_path / "deep" / "results.json"
-    files.write_json(
-        path, {"a": np.float32(0.5), "b": np.arange(3), "c": (float("nan"), np.inf), "d": Path("x")}
-    )
+    values = (np.float32(0.5), np.arange(3), (float("nan"), np.inf), Path("x"))
+    files.write_json(path, dict(zip("abcd", values, strict=True)))
     assert files.read_json(path) == {"a": 0.5, "b": [0, 1, 2], "c": [None, None], "d": "x"}
     assert os.listdir(path.parent) == ["results.json"]
 
@@ -107,10 +109,9 @@ def test_what_the_machine_lacks_is_no_damage_of_the_file(error, line):
 def test_a_file_not_worth_stopping_for_is_read_if_it_is_sound(tmp_path):
     path = tmp_path / "times.json"
     assert files.read_object_if_sound(path) is None
-    path.write_text("{")
-    assert files.read_object_if_sound(path) is None
-    path.write_text("[1]")
-    assert files.read_object_if_sound(path) is None
+    for text in ("{", "[1]"):
+        path.write_text(text)
+        assert files.read_object_if_sound(path) is None
     files.write_json(path, {"data": 1.0})
     assert files.read_object_if_sound(path) == {"data": 1.0}
 
@@ -147,9 +148,7 @@ def test_what_bears_no_seal_is_read_and_what_is_written_again_is_sealed_anew(tmp
     files.write_json(path, json.loads(path.read_text()) | {"c": 2})  # with the old seal in it
     assert files.read_json(path) == {"a": 1, "b": [0.5, None], "c": 2}
     path.write_text(path.read_text().replace("0.5", "0.7"))
-    with pytest.raises(
-        UserError, match=r"its checksum differs.*by hand, delete its line 'checksum'"
-    ):
+    with pytest.raises(UserError, match=r"its checksum differs.* delete its line 'checksum'"):
         files.read_json(path)
 
 
@@ -159,12 +158,54 @@ def test_no_bit_of_an_npz_turns_over_unseen():
     np.savez_compressed(buffer, image=image)
     stored = bytearray(buffer.getvalue())
     unseen = []
-    for bit in range(
-        8 * 200
-    ):  # the headers of zip and numpy; np.load alone reads another array after some of these
+    # the headers of zip and numpy; np.load alone reads another array after some of these
+    for bit in range(8 * 200):
         stored[bit // 8] ^= 1 << bit % 8
         with contextlib.suppress(*files.BROKEN_NPZ):
             read = files.read_npz(io.BytesIO(stored))
             unseen += [bit] * (read.keys() != {"image"} or not np.array_equal(read["image"], image))
         stored[bit // 8] ^= 1 << bit % 8
     assert unseen == [] and np.array_equal(files.read_npz(io.BytesIO(stored))["image"], image)
+
+
+HOLD = """
+import sys
+from pathlib import Path
+from jaxunshear.files import hold_lock
+with hold_lock(Path(sys.argv[1]), wait=False) as free:
+    print(free, flush=True)
+    sys.stdin.read()
+"""
+
+
+def holder(path):
+    words = [sys.executable, "-c", HOLD, str(path)]
+    return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+def test_a_lock_is_another_processs_until_it_is_killed(tmp_path):
+    path = tmp_path / "folder" / ".lock"
+    with holder(path) as other:
+        assert other.stdout.readline() == "True\n"
+        with hold_lock(path, wait=False) as free:
+            assert not free
+        other.kill()
+        with hold_lock(path, wait=True) as free:
+            assert free
+    assert path.read_bytes() == b""
+
+
+def test_an_error_in_it_is_not_taken_for_one_of_the_lock_and_frees_it(tmp_path):
+    with pytest.raises(OSError, match="of the work"), hold_lock(tmp_path / ".lock", wait=False):
+        raise OSError("of the work")
+    with hold_lock(tmp_path / ".lock", wait=False) as free:
+        assert free
+
+
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
+    Path(tmp_path / "file").write_text("")
+    with (
+        pytest.raises(UserError, match=r"cannot write .*lock: "),
+        hold_lock(tmp_path / "file" / ".lock", wait=False),
+    ):
+        pass

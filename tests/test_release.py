@@ -1,6 +1,7 @@
 """Weights released from a run: complete, minimal, found by name, and checked for damage."""
 
 import shutil
+from copy import deepcopy
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -10,13 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear import model_folders
-from jaxunshear.config import targets
+from jaxunshear.config import serialization, targets
 from jaxunshear.config.data import PairedData, PoseData, Ranges
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.rules import validate
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json, write_json
@@ -33,14 +33,8 @@ NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
 POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
 SEEN = Preprocess(size=SIZE)
 TARGETS = targets.make_range_targets((), Ranges())
-EXPERIMENT = Experiment(
-    "small",
-    "A claim.",
-    unshear=NET,
-    posenet=POSENET,
-    paired=PairedData(preprocess=SEEN),
-    pose=PoseData(preprocess=SEEN),
-)
+DATA = {"paired": PairedData(preprocess=SEEN), "pose": PoseData(preprocess=SEEN)}
+EXPERIMENT = Experiment("small", "A claim.", unshear=NET, posenet=POSENET, **DATA)
 LEARNT = {"origin": {"set": "tactip_paired"}, "data": ["ab"], "start": "1234"}
 RESULTS = {
     "settings": asdict(EXPERIMENT),
@@ -103,12 +97,10 @@ def test_a_card_names_the_machine_that_trained_where_another_one_measured():
 
 
 def test_a_card_gives_how_far_slides_twist_and_the_sensor_leans():
-    settings = RESULTS["settings"]
-    ranges = settings["paired"]["ranges"]
     assert "slides up to 2.5 mm. Not" in card_of(RESULTS)
-    wide = {"ranges": ranges | {"twist_deg": 5.0, "tilt_deg": 25.0}}
-    wider = settings | {"paired": settings["paired"] | wide}
-    text = card_of(RESULTS | {"settings": wider})
+    wider = deepcopy(RESULTS)
+    wider["settings"]["paired"]["ranges"] |= {"twist_deg": 5.0, "tilt_deg": 25.0}
+    text = card_of(wider)
     assert "slides up to 2.5 mm, twist up to 5 deg, tilt up to 25 deg. Not" in text
 
 
@@ -187,10 +179,10 @@ def test_damaged_weights_and_those_of_another_network_are_reported(run, tmp_path
 def test_an_unknown_name_lists_those_there_are():
     names = ", ".join(folder.name for folder in RELEASED)
     with pytest.raises(UserError, match=rf"released weights \({names}\)"):
-        model_folders.load_settings(model_folders.find_model_folder(Path("yours")))
+        serialization.load_settings(serialization.find_model_folder(Path("yours")))
 
 
-RELEASED = sorted(path.parent for path in model_folders.RELEASED.glob("*/experiment.json"))
+RELEASED = sorted(path.parent for path in serialization.RELEASED.glob("*/experiment.json"))
 
 
 @pytest.mark.parametrize("folder", RELEASED, ids=lambda folder: folder.name)

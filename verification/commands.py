@@ -4,8 +4,16 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 
-from jaxunshear.cli.options import ROWS, add_json, new_parser
-from jaxunshear.cli.program import Keep, Parser, add_commands, report_errors, run_tool
+from jaxunshear.cli.program import (
+    ROWS,
+    Keep,
+    Parser,
+    add_commands,
+    add_json,
+    new_parser,
+    report_errors,
+    run_tool,
+)
 
 COMMANDS = {
     "verify": "compare the simulator with closed forms, conservation laws and independent solvers",

@@ -16,8 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from jaxunshear.config.networks import PoseNet, UNet, UnshearNet
-from jaxunshear.config.registry import ENTANGLED
+from jaxunshear.config.networks import ENTANGLED, PoseNet, UNet, UnshearNet
 from jaxunshear.config.training import Training
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import TrainingData

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.image import Camera
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Camera, Sensor
 from jaxunshear.simulator.camera import project
 
 

@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import standard
 
-from jaxunshear.config.registry import DISENTANGLED, NETWORKS, POSENET
+from jaxunshear.config.networks import DISENTANGLED, NETWORKS, POSENET
 from jaxunshear.config.sweep import Sweep
 
 ROWS = {

@@ -9,19 +9,18 @@ from collections.abc import Sequence
 from textwrap import wrap
 
 from jaxunshear import __version__
-from jaxunshear.cli import apps, catalogue, experiments, models, recordings, runs
+from jaxunshear.cli import apps, experiments, models, studies
 from jaxunshear.cli.fields import format_field_help, split_help_request
-from jaxunshear.cli.options import Command
-from jaxunshear.cli.program import Parser, check_json, parse, report_errors
+from jaxunshear.cli.program import Command, Parser, check_json, parse, report_errors
 from jaxunshear.code_version import read_source
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.fields import list_field_types, parse_overrides, split_overrides
 from jaxunshear.environment import check_environment
-from jaxunshear.output_checks import check_new_folder
-from jaxunshear.protected_folders import check_outside
+from jaxunshear.output_checks import check_new_folder, check_outside
 
 COMMANDS: dict[str, Command] = {
     command.name: command
-    for module in (experiments, models, apps, recordings, runs, catalogue)
+    for module in (experiments, models, apps, studies)
     for command in module.COMMANDS
 }
 GROUPS = {  # of `jaxunshear --help`
@@ -56,8 +55,6 @@ class _CommandParser(Parser):
     def format_help(self) -> str:
         if not self.get_default("takes_fields"):
             return super().format_help()
-        from jaxunshear.config.fields import list_field_types  # only for this: help must be quick
-
         groups: dict[str, list[str]] = {}
         for name, _ in list_field_types():
             group, _, field = name.rpartition(".")
@@ -104,8 +101,6 @@ def _split_fields(command: Command, argv: Sequence[str]) -> tuple[list[str], lis
 
     Raises UserError for a field that is unknown.
     """
-    from jaxunshear.config.fields import parse_overrides, split_overrides
-
     flags = {"-h", "--help"}  # options that no value follows
     options = set(flags)
     for other in COMMANDS.values():

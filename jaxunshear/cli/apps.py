@@ -9,23 +9,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from jaxunshear.cli.models import apply
-from jaxunshear.cli.options import (
+from jaxunshear.cli.models import (
     CAMERA_MODEL,
-    Command,
+    LIKE,
+    MODEL,
+    apply,
     choose_exit_code,
-    flag,
-    integer,
-    json_file,
-    model_dir,
-    option,
     parse_stimuli,
-    path,
 )
+from jaxunshear.cli.program import Command, flag, integer, json_file, option, path
 from jaxunshear.errors import UserError
 from jaxunshear.files import explain_os_error
-from jaxunshear.output_checks import check_new_file, check_new_folder, check_not_among
-from jaxunshear.protected_folders import check_outside
+from jaxunshear.output_checks import (
+    check_new_file,
+    check_new_folder,
+    check_not_among,
+    check_outside,
+)
 from jaxunshear.results.applications import StreamResult
 
 if TYPE_CHECKING:
@@ -35,9 +35,17 @@ SHOWN_PROBLEMS = 5
 
 
 def stream(arguments: argparse.Namespace, command: str) -> int:
-    _check_stream(arguments)
-    if arguments.like is None and Path(arguments.source).is_dir():
-        arguments.like = Path(arguments.source)
+    source, fps, images = Path(arguments.source), arguments.fps, arguments.images
+    if fps is not None and not 0 < fps <= 10_000:
+        raise UserError(f"--fps {fps:g}: use more than 0, at most 10000")
+    if images is not None and source.exists():
+        check_not_among(source, images, "--images")
+    check_new_file(arguments.lines, "--lines")
+    check_new_folder(images, "--images")
+    check_outside(arguments.lines, "--lines")
+    check_outside(images, "--images")
+    if arguments.like is None and source.is_dir():
+        arguments.like = source
     summary = apply(_stream, arguments, command)
     return choose_exit_code(summary.used, summary.skipped)
 
@@ -59,17 +67,6 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> 
     for problem, count in list(summary.problems.items())[:SHOWN_PROBLEMS]:
         print(f"skipped {count}: {problem}", file=sys.stderr)
     return summary
-
-
-def _check_stream(arguments: argparse.Namespace) -> None:
-    if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
-        raise UserError(f"--fps {arguments.fps:g}: use more than 0, at most 10000")
-    if arguments.images is not None and Path(arguments.source).exists():
-        check_not_among(Path(arguments.source), arguments.images, "--images")
-    check_new_file(arguments.lines, "--lines")
-    check_new_folder(arguments.images, "--images")
-    check_outside(arguments.lines, "--lines")
-    check_outside(arguments.images, "--images")
 
 
 def _print_summary(summary: StreamResult) -> None:
@@ -120,7 +117,14 @@ def explore(arguments: argparse.Namespace, command: str) -> int:
         raise UserError(
             "the page needs the extra `explore`: pip install -c constraints.txt '.[explore]'"
         )
-    _check_port(arguments.port)
+    port = arguments.port
+    if not 1 <= port <= 65535:
+        raise UserError(f"--port {port}: use 1 to 65535")
+    try:
+        with socket.create_server(("127.0.0.1", port)):
+            pass
+    except OSError as error:
+        raise UserError(f"--port {port} cannot be had ({error.strerror}): name another") from None
     from jaxunshear.apps.explore.explorer import make_explorer
     from jaxunshear.inference.trained_model import load_model
     from jaxunshear.simulator.stimuli import make_stimulus
@@ -131,19 +135,9 @@ def explore(arguments: argparse.Namespace, command: str) -> int:
     explorer.warm()
     from jaxunshear.apps.explore.page import HOST, serve  # the extra is imported here alone
 
-    print(f"http://{HOST}:{arguments.port} (Ctrl+C ends it)", flush=True)
-    serve(explorer, arguments.port)
+    print(f"http://{HOST}:{port} (Ctrl+C ends it)", flush=True)
+    serve(explorer, port)
     return 0
-
-
-def _check_port(port: int) -> None:
-    if not 1 <= port <= 65535:
-        raise UserError(f"--port {port}: use 1 to 65535")
-    try:
-        with socket.create_server(("127.0.0.1", port)):
-            pass
-    except OSError as error:
-        raise UserError(f"--port {port} cannot be had ({error.strerror}): name another") from None
 
 
 COMMANDS = (
@@ -194,8 +188,8 @@ COMMANDS = (
         "press and slide the dome over a shape with the mouse, on a page of this machine",
         explore,
         (
-            model_dir(),
-            CAMERA_MODEL[1],
+            MODEL,
+            LIKE,
             option(
                 "--stimulus",
                 "FILE,FILE",

@@ -4,27 +4,33 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from jaxunshear.cli.options import (
+from jaxunshear.cli.program import (
     DATA,
-    EXPERIMENT,
     Command,
     Option,
-    engine,
     flag,
+    integer,
     json_file,
     option,
     path,
-    read_engine_options,
 )
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.fields import override_fields
+from jaxunshear.config.load import load_experiment
 from jaxunshear.config.network_config import list_trained_networks
+from jaxunshear.config.rules import validate
+from jaxunshear.config.serialization import apply_preset, find_model_folder, load_settings
+from jaxunshear.config.sweep import (
+    Sweep,
+    check_sweep,
+    get_base,
+    load_sweep,
+    override_base,
+    parse_seeds,
+)
 from jaxunshear.errors import UserError
-from jaxunshear.protected_folders import check_outside
-
-if TYPE_CHECKING:
-    from jaxunshear.config.sweep import Sweep
+from jaxunshear.output_checks import check_outside
 
 NETWORKS = "networks"  # stands for those of the experiment
 STAGES = {
@@ -34,12 +40,12 @@ STAGES = {
     "run": ("data", NETWORKS, "evaluate", "report"),
     "fit": ("data", NETWORKS, "evaluate", "report"),
 }
+DEFAULT_RAY_CORES = 2  # for each row or chunk
 
 
 def run_stages(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear.model_folders import find_model_folder
 
-    ray_options = read_engine_options(arguments)
+    ray_options = _read_engine_options(arguments)
     if arguments.command == "fit":
         experiment = _write_fit_experiment(arguments)
     elif arguments.command == "evaluate" and (folder := find_model_folder(arguments.file)).is_dir():
@@ -49,15 +55,22 @@ def run_stages(arguments: argparse.Namespace, command: str) -> int:
             _score_recordings(experiment, arguments, command)
             return 0
     else:
-        experiment = _read_experiment(arguments)
-    networks = _select_networks(arguments, experiment)
+        experiment = _apply_recordings(read_base(arguments, arguments.fields), arguments)
+        validate(experiment)
+    networks = list_trained_networks(experiment)
+    if network := getattr(arguments, "network", None):
+        if network not in networks:
+            raise UserError(
+                f"--network {network} is none of this experiment's: use {', '.join(networks)}"
+            )
+        networks = (network,)
     json = getattr(arguments, "json", None)
     check_outside(json, "--json", home=arguments.out / experiment.name)
     stages: list[str] = []
     for stage in STAGES[arguments.command]:
         stages += networks if stage == NETWORKS else [stage]
-    from jaxunshear.allocator import keep_freed_memory
     from jaxunshear.cluster import make_ray_runner, run_locally
+    from jaxunshear.environment import keep_freed_memory
     from jaxunshear.run import run_stages
 
     keep_freed_memory()
@@ -77,28 +90,12 @@ def run_stages(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
-def _select_networks(arguments: argparse.Namespace, experiment: Experiment) -> tuple[str, ...]:
-    networks = list_trained_networks(experiment)
-    network = getattr(arguments, "network", None)
-    if not network:
-        return networks
-    if network not in networks:
-        raise UserError(
-            f"--network {network} is none of this experiment's: use {', '.join(networks)}"
-        )
-    return (network,)
-
-
 def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experiment:
     """Return the experiment of FILE with fields changed, before it is checked.
 
     It has no recordings yet.
     """
-    from jaxunshear.config.fields import override_fields
-    from jaxunshear.config.load import load_experiment
-    from jaxunshear.config.sweep import get_base
     from jaxunshear.fit import BASE_EXPERIMENT
-    from jaxunshear.model_folders import find_model_folder, load_settings
 
     if arguments.command == "sweep":
         return get_base(_read_sweep(arguments, fields))
@@ -111,7 +108,6 @@ def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experimen
 
 
 def _apply_sensor(experiment: Experiment, arguments: argparse.Namespace) -> Experiment:
-    from jaxunshear.config.preset import apply_preset
 
     file = arguments.sensor_from
     return apply_preset(experiment, file) if file else experiment
@@ -124,18 +120,8 @@ def _apply_recordings(experiment: Experiment, arguments: argparse.Namespace) -> 
     return set_recordings(experiment, folder, folder) if folder else experiment
 
 
-def _read_experiment(arguments: argparse.Namespace) -> Experiment:
-    from jaxunshear.config.rules import validate
-
-    experiment = _apply_recordings(read_base(arguments, arguments.fields), arguments)
-    validate(experiment)
-    return experiment
-
-
 def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
     """Write the experiment of `fit` beside its results."""
-    from jaxunshear.config.fields import override_fields
-    from jaxunshear.config.rules import validate
     from jaxunshear.fit import BASE_EXPERIMENT, set_recordings, write_experiment
 
     if not (arguments.taps or arguments.slides):
@@ -151,7 +137,6 @@ def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
 
 
 def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
-    from jaxunshear.model_folders import load_settings
 
     if arguments.fields or arguments.sensor_from:
         name = arguments.fields[0] if arguments.fields else "--sensor-from"
@@ -183,8 +168,7 @@ def _score_recordings(experiment: Experiment, arguments: argparse.Namespace, com
         write_record(arguments.json, build_measurements(results))
 
 
-def _read_sweep(arguments: argparse.Namespace, fields: Sequence[str]) -> "Sweep":
-    from jaxunshear.config.sweep import load_sweep, override_base
+def _read_sweep(arguments: argparse.Namespace, fields: Sequence[str]) -> Sweep:
 
     sweep = load_sweep(arguments.file)
     return override_base(replace(sweep, base=_apply_sensor(sweep.base, arguments)), fields)
@@ -192,8 +176,7 @@ def _read_sweep(arguments: argparse.Namespace, fields: Sequence[str]) -> "Sweep"
 
 def sweep(arguments: argparse.Namespace, command: str) -> int:
     """Run a sweep and print its table. Return 0, or 1 if a row failed."""
-    ray_options = read_engine_options(arguments)
-    from jaxunshear.config.sweep import check_sweep, parse_seeds
+    ray_options = _read_engine_options(arguments)
 
     sweep = _read_sweep(arguments, arguments.fields)
     sweep = replace(sweep, base=_apply_recordings(sweep.base, arguments))
@@ -219,52 +202,87 @@ def sweep(arguments: argparse.Namespace, command: str) -> int:
     return 1 if any(cell.failures for cell in summary.cells) else 0
 
 
+def _read_engine_options(arguments: argparse.Namespace) -> tuple[str | None, int] | None:
+    """Return address and cores of `--engine ray`; None for the serial one. Raises UserError."""
+    if "engine" not in arguments:
+        return None
+    address, cores = arguments.ray_address, arguments.ray_cores
+    if arguments.engine != "ray" and (address is not None or cores is not None):
+        raise UserError("--ray-address and --ray-cores go with --engine ray")
+    if cores is not None and cores < 1:
+        raise UserError(f"--ray-cores {cores}: use at least 1")
+    return (address, cores or DEFAULT_RAY_CORES) if arguments.engine == "ray" else None
+
+
+def _list_engine_options(piece: str) -> tuple[Option, ...]:
+    """List the options of who runs the pieces of a command."""
+    text = f"one {piece} after the other, or all over a Ray cluster (serial)"
+    return (
+        ("--engine", {"choices": ("serial", "ray"), "default": "serial", "help": text}),
+        option("--ray-address", "ADDRESS", "of a Ray cluster (default: one on this machine)"),
+        integer("--ray-cores", f"cores that a {piece} takes of the cluster ({DEFAULT_RAY_CORES})"),
+    )
+
+
 OUT = path("--out", "DIR", "results: DIR/<name> (runs)", default=Path("runs"))
-FILE = path("file", "FILE", "a Python file, such as experiments/demo.py")
-BASE = (FILE, OUT, DATA, *EXPERIMENT)
-FIT = (
-    path("--taps", "DIR", "recorded taps"),
-    path("--slides", "DIR", "recorded slides"),
-    path("--pairs", "FILE", "CSV with columns slide and tap: which belong together"),
-    *(OUT, DATA, json_file()),
+SUBJECT = (  # the recordings and the sensor that an experiment in a file is about
+    path(
+        "--recordings",
+        "DIR",
+        "taps and slides that an experiment such as experiments/recorded.py is about",
+    ),
+    path(
+        "--sensor-from",
+        "FILE",
+        "a calibration.json of `jaxunshear calibrate`: its sensor, camera and friction "
+        "in the simulated experiment",
+    ),
 )
-SWEEP = (
-    path("file", "FILE", "such as experiments/ablations/lambda_split.py, or an experiment"),
-    path("--out", "DIR", "DIR/<name> (runs/sweeps)", default=Path("runs/sweeps")),
-    *(DATA, *EXPERIMENT),
-    option("--seeds", "N,N,...", "instead of those in FILE"),
-    *engine("row"),
-    flag("--retry-failed", "also try rows again that failed"),
-    json_file("sweep.json here, too"),
-)
-SIMULATION = engine("chunk of contacts")
-NETWORK = option("--network", "NAME", "only this one of the experiment's (default: all)")
-HELP = {
-    "run": "all of the next three and the report; continues where a stopped run left off",
-    "data": "simulate the two data sets",
-    "train": "train the networks",
-    "evaluate": "measure the networks on held-out poses",
-    "fit": "fit networks to your own recordings: writes an experiment about them, and runs it",
-    "sweep": "run an experiment over grids of settings and seeds; "
-    "continues where a stopped sweep left off",
-}
-OPTIONS: dict[str, tuple[Option, ...]] = {
-    "run": (*BASE, json_file(), *SIMULATION),
-    "data": (*BASE, *SIMULATION),
-    "train": (*BASE, NETWORK),
-    "evaluate": (*BASE, json_file()),
-    "fit": FIT,
-    "sweep": SWEEP,
+BASE = (path("file", "FILE", "a Python file, such as experiments/demo.py"), OUT, DATA, *SUBJECT)
+SIMULATION = _list_engine_options("chunk of contacts")
+OPTIONS: dict[str, tuple[str, tuple[Option, ...]]] = {
+    "run": (
+        "all of the next three and the report; continues where a stopped run left off",
+        (*BASE, json_file(), *SIMULATION),
+    ),
+    "data": ("simulate the two data sets", (*BASE, *SIMULATION)),
+    "train": (
+        "train the networks",
+        (*BASE, option("--network", "NAME", "only this one of the experiment's (default: all)")),
+    ),
+    "evaluate": ("measure the networks on held-out poses", (*BASE, json_file())),
+    "fit": (
+        "fit networks to your own recordings: writes an experiment about them, and runs it",
+        (
+            path("--taps", "DIR", "recorded taps"),
+            path("--slides", "DIR", "recorded slides"),
+            path("--pairs", "FILE", "CSV with columns slide and tap: which belong together"),
+            *(OUT, DATA, json_file()),
+        ),
+    ),
+    "sweep": (
+        "run an experiment over grids of settings and seeds; "
+        "continues where a stopped sweep left off",
+        (
+            path("file", "FILE", "such as experiments/ablations/lambda_split.py, or an experiment"),
+            path("--out", "DIR", "DIR/<name> (runs/sweeps)", default=Path("runs/sweeps")),
+            *(DATA, *SUBJECT),
+            option("--seeds", "N,N,...", "instead of those in FILE"),
+            *_list_engine_options("row"),
+            flag("--retry-failed", "also try rows again that failed"),
+            json_file("sweep.json here, too"),
+        ),
+    ),
 }
 COMMANDS = tuple(
     Command(
         name,
         text,
         sweep if name == "sweep" else run_stages,
-        OPTIONS[name],
+        options,
         takes_fields="--taps DIR --slides DIR" if name == "fit" else "FILE",
         is_resumable=name != "evaluate",
         checks_out=False,
     )
-    for name, text in HELP.items()
+    for name, (text, options) in OPTIONS.items()
 )

@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Iterator
 from textwrap import wrap
-from typing import NamedTuple
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import NOT_SETTABLE, format_value
@@ -35,24 +34,24 @@ def format_field_help(group: str, experiment: Experiment | None = None) -> str:
     if group not in groups:
         names = ", ".join(filter(None, groups))
         raise UserError(f"{FLAG} {group}: name one of {names}, or '' for those of no group")
-    settings = _get_group(experiment or Experiment(name="", claim=""), group)
-    entries: dict[str, list[_Entry]] = {}
-    for kind in [type(settings)] if experiment else groups[group]:
-        for entry in _list_entries(kind, settings, f"{group}." if group else ""):
-            entries.setdefault(entry.name, []).append(entry)
-    return "\n".join(map(_format_entries, entries.values()))
-
-
-def _get_group(experiment: Experiment, name: str) -> object:
-    settings: object = experiment
-    for part in filter(None, name.split(".")):
+    settings: object = experiment or Experiment(name="", claim="")
+    for part in filter(None, group.split(".")):
         if not hasattr(settings, part):
             raise UserError(
-                f"{FLAG} {name}: this experiment has no {part} there: "
+                f"{FLAG} {group}: this experiment has no {part} there: "
                 f"its {type(settings).__name__} has other fields"
             )
         settings = getattr(settings, part)
-    return settings
+    owners: dict[str, list[type]] = {}  # kinds of settings by the field that they have
+    for kind in [type(settings)] if experiment else groups[group]:
+        for name, hint in list_hints(kind).items():
+            is_sensor = group == "" and name == "sensor"
+            if name not in NOT_SETTABLE and (is_sensor or not list_groups(hint)):
+                owners.setdefault(name, []).append(kind)
+    prefix = f"{group}." if group else ""
+    return "\n".join(
+        f"--{prefix}{_format_field(name, kinds, settings)}" for name, kinds in owners.items()
+    )
 
 
 def _list_groups(kind: type, name: str) -> Iterator[tuple[str, list[type]]]:
@@ -67,49 +66,30 @@ def _list_groups(kind: type, name: str) -> Iterator[tuple[str, list[type]]]:
         yield from kinds_by_name.items()
 
 
-class _Entry(NamedTuple):
-    name: str
-    value: str
-    accepted: str
-    meaning: str
-    kind: str  # of settings that have this field
-
-
-def _list_entries(kind: type, settings: object, prefix: str) -> Iterator[_Entry]:
-    for field in dataclasses.fields(kind):
-        hint = list_hints(kind)[field.name]
-        if field.name in NOT_SETTABLE or (list_groups(hint) and prefix + field.name != "sensor"):
-            continue
-        several = get_origin(hint) is tuple and list_choices(hint)
-        accepted = f"some of {', '.join(several)}" if several else describe_hint(hint)
-        value = _format_default(field)
-        if isinstance(settings, kind):
-            value = format_value(getattr(settings, field.name))
-        meaning = _read_meaning(kind, field.name)
-        yield _Entry(prefix + field.name, value, accepted, meaning, kind.__name__)
-
-
-def _format_entries(entries: list[_Entry]) -> str:
+def _format_field(name: str, kinds: list[type], settings: object) -> str:
     """Format the help on one field, which several kinds of settings may have."""
-    values = " or ".join(dict.fromkeys(entry.value for entry in entries))
-    meanings = {entry.kind: entry.meaning for entry in entries}
+    values = " or ".join(dict.fromkeys(_format_value(name, kind, settings) for kind in kinds))
+    meanings = {kind.__name__: _read_meaning(kind, name) for kind in kinds}
+    meaning = next(iter(meanings.values()))
     if len(set(meanings.values())) > 1:
         meaning = " ".join(
             f"Of {kind}: {text[:1].lower()}{text[1:]}." for kind, text in meanings.items()
         )
-    else:
-        meaning = entries[0].meaning
-    text = f"{entries[0].accepted}. {meaning}".rstrip()
+    hint = list_hints(kinds[0])[name]
+    is_list, choices = get_origin(hint) is tuple, ", ".join(list_choices(hint))
+    accepted = f"some of {choices}" if is_list and choices else describe_hint(hint)
+    text = f"{accepted}. {meaning}".rstrip()
     lines = wrap(text, WIDTH, initial_indent=" " * 4, subsequent_indent=" " * 4)
-    return "\n".join([f"--{entries[0].name} {values}", *lines])
+    return "\n".join([f"{name} {values}", *lines])
 
 
-def _format_default(field: dataclasses.Field) -> str:
-    if field.default is not dataclasses.MISSING:
-        return format_value(field.default)
+def _format_value(name: str, kind: type, settings: object) -> str:
+    if isinstance(settings, kind):
+        return format_value(getattr(settings, name))
+    field = {each.name: each for each in dataclasses.fields(kind)}[name]
     if field.default_factory is not dataclasses.MISSING:
         return format_value(field.default_factory())
-    return ""
+    return "" if field.default is dataclasses.MISSING else format_value(field.default)
 
 
 def _read_meaning(kind: type, field: str) -> str:

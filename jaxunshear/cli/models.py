@@ -3,28 +3,24 @@
 import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from jaxunshear.cli.options import (
-    CAMERA_MODEL,
-    ROWS,
-    STIMULUS,
-    Command,
-    Option,
-    choose_exit_code,
-    integer,
-    json_file,
-    model_dir,
-    option,
-    parse_stimuli,
-    path,
-)
-from jaxunshear.config.stimuli import list_stimulus_names
+from jaxunshear.cli.program import ROWS, Command, Option, flag, integer, json_file, option, path
+from jaxunshear.config.outlines import parse_stimulus
+from jaxunshear.config.sensor import Preprocess, get_sensor
+from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.errors import UserError
-from jaxunshear.output_checks import check_new_folder, check_not_among
-from jaxunshear.protected_folders import check_outside
-from jaxunshear.results.record_files import find_results_folder
+from jaxunshear.files import format_csv, to_builtins, write_bytes, write_json, write_npz, write_text
+from jaxunshear.output_checks import check_new_folder, check_not_among, check_outside
+from jaxunshear.results.applications import (
+    ObjectScore,
+    ObjectScores,
+    TrajectoryScore,
+    TrajectoryScores,
+)
+from jaxunshear.results.folders import find_results_folder
 
 if TYPE_CHECKING:
     from jaxunshear.inference.trained_model import TrainedModel
@@ -37,26 +33,21 @@ GEOMETRY_COLUMNS = (
 )
 SERVO_COLUMNS = ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")
 OBJECT_COLUMNS = (
-    *("name", "walks", "closed", "iou", "iou_felt"),
-    *("mean_mm", "hausdorff_mm", "height_rms_mm"),
+    *("name", "walks", "closed", "iou", "iou_felt", "mean_mm", "hausdorff_mm", "height_rms_mm"),
 )
 
 
 def infer(arguments: argparse.Namespace, command: str) -> int:
-    from dataclasses import replace
-
-    from jaxunshear.files import write_json
     from jaxunshear.inference.infer import predict_recordings, unshear_recordings
 
-    shared = {"force": arguments.force, "like": arguments.like}
-    if arguments.command == "unshear":
+    name, shared = arguments.command, {"force": arguments.force, "like": arguments.like}
+    if name == "unshear":
         measured = unshear_recordings(arguments.path, arguments.model, arguments.out, **shared)
     else:
         measured = predict_recordings(arguments.path, arguments.model, **shared)
     if arguments.json:
         write_json(arguments.json, replace(measured, command=command))
     counts = {row.name: row.value or 0 for row in measured.rows}
-    name = arguments.command
     return choose_exit_code(counts[f"{name}.images"], counts[f"{name}.left_out"])
 
 
@@ -101,11 +92,8 @@ def apply(
 
 
 def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None") -> object:
-    from jaxunshear.config.image import Preprocess
-    from jaxunshear.config.sensor import get_sensor
     from jaxunshear.data.recorded_pins import find_pins, summary
     from jaxunshear.data.recordings import read_recordings
-    from jaxunshear.files import write_bytes, write_npz, write_text
     from jaxunshear.perception.lattice_fitting import make_layout, read_layout
 
     if not arguments.path.exists():
@@ -130,8 +118,7 @@ def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None")
     else:
         lattice = make_layout(get_sensor(arguments.sensor))
     found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
-    from jaxunshear.report.application_figures import plot_pins
-    from jaxunshear.serialization import format_csv, to_builtins
+    from jaxunshear.report.pin_figure import plot_pins
 
     arrays = {
         "name": found.name,
@@ -149,12 +136,9 @@ def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None")
 
 
 def geometry(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
-    from jaxunshear.config.image import Preprocess
     from jaxunshear.data.recordings import read_recordings
     from jaxunshear.downstream.geometry_scores import estimate_recorded_heights, score_geometry
-    from jaxunshear.files import write_bytes
-    from jaxunshear.report.application_figures import plot_contacts, plot_recordings
-    from jaxunshear.serialization import to_builtins
+    from jaxunshear.report.geometry_figure import plot_contacts, plot_recordings
     from jaxunshear.text_table import format_text_table
 
     if arguments.path is not None:
@@ -177,9 +161,7 @@ def geometry(arguments: argparse.Namespace, out: Path, model: "TrainedModel") ->
 def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
     from jaxunshear.downstream.servo import ServoTask
     from jaxunshear.downstream.servo_scores import servo
-    from jaxunshear.files import write_bytes
-    from jaxunshear.report.application_figures import plot_trajectories
-    from jaxunshear.results.applications import TrajectoryScore, TrajectoryScores
+    from jaxunshear.report.trajectory_figure import plot_trajectories
     from jaxunshear.text_table import format_text_table
 
     tasks = [
@@ -202,9 +184,7 @@ def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> ob
 def reconstruct(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
     from jaxunshear.downstream.object_reconstruction import reconstruct
     from jaxunshear.downstream.servo import load_trajectories
-    from jaxunshear.files import write_bytes
-    from jaxunshear.report.application_figures import PICTURES, plot_objects
-    from jaxunshear.results.applications import ObjectScore, ObjectScores
+    from jaxunshear.report.object_figure import PICTURES, plot_objects
     from jaxunshear.text_table import format_text_table
 
     model.require_simulation("reconstruct")  # a model of recordings has no trajectories
@@ -240,16 +220,56 @@ def _find_trajectory_files(arguments: argparse.Namespace, out: Path) -> list[Pat
     return [file for name, file in files.items() if name not in missing]
 
 
+def parse_stimuli(text: str) -> tuple[StimulusSetting, ...]:
+    """Return the objects that --stimulus names. Raises UserError."""
+    from jaxunshear.simulator.stimuli import SHAPES, get_closed_stimulus
+
+    names = SHAPES if text == "all" else text.split(",")
+    stimuli = tuple(parse_stimulus(name.strip()) for name in names)
+    for stimulus in stimuli:
+        get_closed_stimulus(stimulus)
+    if len(set(list_stimulus_names(stimuli))) < len(stimuli):
+        raise UserError(f"--stimulus {text}: name each once")
+    return stimuli
+
+
+def choose_exit_code(used: float, left_out: float) -> int:
+    """Return 1 if half of the images or more are left out: that is no success."""
+    return int(left_out >= used)
+
+
+def _name_model(default: str) -> Option:
+    text = f"a finished run (runs/demo), or released weights by name ({default})"
+    return path("--model", "DIR", text, default=Path(default))
+
+
+MODEL = _name_model("standard")
+LIKE = path(
+    "--like",
+    "DIR",
+    "contacts of the same sensor and camera, whose mean shows where pins stand "
+    "(default: the frames themselves)",
+)
+CAMERA_MODEL = (  # trained for recordings, and what it needs to read them
+    _name_model("skin"),
+    LIKE,
+    flag("--force", "answer images that are not of the model's sensor, too"),
+)
+STIMULUS = option(
+    "--stimulus", "NAME,FILE", "which objects, outlines in files among them (all)", default="all"
+)
+
+
 def _make_command(
-    name: str,
-    text: str,
-    application: Callable[..., object],
-    *options: Option | list[Option],
+    application: Callable[..., object], text: str, out: str, *options: Option | list[Option]
 ) -> Command:
+    name = application.__name__
+
     def run(arguments: argparse.Namespace, command: str) -> int:
         apply(application, arguments, command)
         return 0
 
+    options = (path("--out", "DIR", out), json_file(ROWS), *options)
     return Command(name, text, run, options, is_resumable=name == "servo", checks_out=False)
 
 
@@ -272,11 +292,9 @@ COMMANDS = (
         (path("path", "PATH", IMAGES), *CAMERA_MODEL, json_file()),
     ),
     _make_command(
-        "pins",
-        "find, identify and draw the pins of recorded images",
         pins,
-        path("--out", "DIR", "for the results (pins)"),
-        json_file(ROWS),
+        "find, identify and draw the pins of recorded images",
+        "for the results (pins)",
         path("path", "IMAGES", IMAGES),
         [
             option("--sensor", "NAME", "whose pins they are (tactip331)", default="tactip331"),
@@ -287,22 +305,18 @@ COMMANDS = (
         option("--size", "PX", "of the prepared images (theirs, at most 256)", type=int),
     ),
     _make_command(
-        "geometry",
-        "contact geometry of taps, sheared and unsheared images",
         geometry,
-        path("--out", "DIR", "for the results (geometry)"),
-        json_file(ROWS),
+        "contact geometry of taps, sheared and unsheared images",
+        "for the results (geometry)",
         path("path", "IMAGES", "also of these recordings", nargs="?"),
-        model_dir(),
+        MODEL,
         integer("--contacts", "fresh ones to be scored on, at least 5 of each shape (300)", 300),
     ),
     _make_command(
-        "servo",
-        "follow the outlines of objects by touch, in the simulator",
         servo,
-        path("--out", "DIR", "for the results (servo)"),
-        json_file(ROWS),
-        model_dir(),
+        "follow the outlines of objects by touch, in the simulator",
+        "for the results (servo)",
+        MODEL,
         STIMULUS,
         integer("--starts", "for each way of perceiving (5)", 5),
         option(
@@ -312,12 +326,10 @@ COMMANDS = (
         integer("--seed", "of the starts (0)", 0),
     ),
     _make_command(
-        "reconstruct",
-        "complete objects from the walks that `servo` left",
         reconstruct,
-        path("--out", "DIR", "where they are, and results go"),
-        json_file(ROWS),
-        model_dir(),
+        "complete objects from the walks that `servo` left",
+        "where they are, and results go",
+        MODEL,
         STIMULUS,
     ),
 )

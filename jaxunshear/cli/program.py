@@ -1,4 +1,4 @@
-"""Shared parts of all command lines: errors in one line, exit codes, files of rows.
+"""Shared parts of all command lines: commands as data, errors in one line, files of rows.
 
 `jaxunshear` uses it, and so do `python -m verification` and `python -m benchmarks`.
 """
@@ -9,20 +9,78 @@ import shlex
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
-from jaxunshear.cli.options import Commands
 from jaxunshear.code_version import read_source
 from jaxunshear.environment import check_environment
 from jaxunshear.errors import Note, UserError
-from jaxunshear.files import Json, is_disk_full
-from jaxunshear.output_checks import check_new_file, check_new_folder
-from jaxunshear.protected_folders import check_outside
+from jaxunshear.files import Json, is_disk_full, write_json
+from jaxunshear.output_checks import check_new_file, check_new_folder, check_outside
 
 RESTART = "the same command begins anew"
+ROWS = "the rows, with command, machine and versions"  # what `--json` writes for benchmarks
 Keep = Callable[[list[Json]], None]
+Commands: TypeAlias = "argparse._SubParsersAction[Any]"  # of a command line, to add one to
+Option = tuple[str, dict[str, Any]]  # a name, and what argparse takes of it
+Run = Callable[[argparse.Namespace, str], int]  # arguments, command line -> exit code
 _format_python_warning = warnings.formatwarning
+
+
+@dataclass(frozen=True)
+class Command:
+    name: str
+    help: str
+    run: Run
+    options: tuple[Option | list[Option], ...] = ()  # of those in a list only one may be given
+    takes_fields: str = ""  # what it takes beside fields of an experiment, if it takes these
+    is_resumable: bool = False  # continues where it stopped
+    checks_out: bool = True  # --out may not lie in a run; else `run` checks it
+    computes: bool = True  # results, which depend on the environment and on the code
+
+    def list_options(self) -> list[Option]:
+        flat: list[Option] = []
+        for each in self.options:
+            flat += each if isinstance(each, list) else [each]
+        return flat
+
+    def add_to(self, commands: Commands) -> None:
+        parser = new_parser(commands, self.name, self.help)
+        if self.takes_fields:
+            start = f"jaxunshear {self.name} {self.takes_fields}"
+            parser.usage = f"{start} [options] [--field value ...]"
+            parser.set_defaults(takes_fields=True)
+        for each in self.options:
+            if isinstance(each, list):
+                group = parser.add_mutually_exclusive_group()
+                for name, settings in each:
+                    group.add_argument(name, **settings)
+            else:
+                parser.add_argument(each[0], **each[1])
+
+
+def option(name: str, metavar: str, text: str, **settings: Any) -> Option:
+    return name, {"metavar": metavar, "help": text, **settings}
+
+
+def path(name: str, metavar: str, text: str, **settings: Any) -> Option:
+    return option(name, metavar, text, type=Path, **settings)
+
+
+def integer(name: str, text: str, default: int | None = None) -> Option:
+    return option(name, "N", text, type=int, default=default)
+
+
+def flag(name: str, text: str) -> Option:
+    return name, {"action": "store_true", "help": text}
+
+
+def json_file(content: str = "what was measured, with machine and versions") -> Option:
+    return path("--json", "FILE", f"write {content}")
+
+
+DATA = path("--data", "DIR", "data sets (datasets)", default=Path("datasets"))
 
 
 class Parser(argparse.ArgumentParser):
@@ -40,6 +98,23 @@ def add_commands(parser: argparse.ArgumentParser) -> Commands:
     return parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
 
+def new_parser(commands: Commands, name: str, text: str) -> argparse.ArgumentParser:
+    return commands.add_parser(name, help=text, description=text)
+
+
+def add_json(parser: argparse.ArgumentParser, content: str) -> None:
+    name, settings = json_file(content)
+    parser.add_argument(name, **settings)
+
+
+def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace | None:
+    """Return the arguments; None after --help or --version. Raises UserError."""
+    try:
+        return parser.parse_args(words)
+    except SystemExit:
+        return None
+
+
 def report_errors(work: Callable[[], int], continued: bool = False) -> int:
     """Run a program and report its errors.
 
@@ -53,10 +128,8 @@ def report_errors(work: Callable[[], int], continued: bool = False) -> int:
     except UserError as error:
         return _print_error(str(error))
     except KeyboardInterrupt:
-        print(
-            f"stopped; {'run the same command to continue' if continued else RESTART}",
-            file=sys.stderr,
-        )
+        next_step = "run the same command to continue" if continued else RESTART
+        print(f"stopped; {next_step}", file=sys.stderr)
         return 130
     except BrokenPipeError:
         sys.stdout = None  # whoever read us has gone: nothing more can be said there
@@ -90,14 +163,6 @@ def _print_error(text: str) -> int:
     return 2
 
 
-def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace | None:
-    """Return the arguments; None after --help or --version. Raises UserError."""
-    try:
-        return parser.parse_args(words)
-    except SystemExit:
-        return None
-
-
 def check_json(arguments: argparse.Namespace) -> None:
     """Refuse, before any work, a file for results that would replace what others live on."""
     file = getattr(arguments, "json", None)
@@ -105,12 +170,9 @@ def check_json(arguments: argparse.Namespace) -> None:
         return
     check_outside(file, "--json")
     check_new_file(file)
-    for option, value in vars(arguments).items():
-        if (
-            option != "json"
-            and isinstance(value, Path)
-            and os.path.realpath(value) == os.path.realpath(file)
-        ):
+    for name, value in vars(arguments).items():
+        is_other = name != "json" and isinstance(value, Path)
+        if is_other and os.path.realpath(value) == os.path.realpath(file):
             raise UserError(
                 f"--json {file} is also what this command reads or writes: name another file"
             )
@@ -131,20 +193,25 @@ def run_tool(
     if arguments is None:
         return 0
     check_json(arguments)
-    if "out" in arguments:
-        check_new_folder(arguments.out)
-        check_outside(arguments.out, "--out")
+    out = getattr(arguments, "out", None)
+    check_new_folder(out)
+    check_outside(out, "--out")
     check_environment()
     read_source()  # as the code is now; it may be changed while this works
     command = shlex.join([*parser.prog.split(), *words])
-    return run(arguments, lambda rows: _write_rows(arguments.json, rows, command, packages))
+
+    def keep(rows: list[Json]) -> None:
+        write_measurement(arguments.json, command, {"rows": rows}, packages)
+
+    return run(arguments, keep)
 
 
-def _write_rows(file: Path | None, rows: list[Json], command: str, packages: Sequence[str]) -> None:
-    """Write rows into `file`, if there is one, in the place of those written before."""
+def write_measurement(
+    file: Path | None, command: str, content: Json, packages: Sequence[str] = ()
+) -> None:
+    """Write `content` with command, machine and versions into `file`, if there is one."""
     if file is None:
         return
-    from jaxunshear.files import write_json
-    from jaxunshear.results.provenance import describe_provenance
+    from jaxunshear.metrics.machine import describe_provenance
 
-    write_json(file, describe_provenance(command, *packages) | {"rows": rows})
+    write_json(file, describe_provenance(command, *packages) | content)

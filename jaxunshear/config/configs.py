@@ -1,22 +1,24 @@
 """The stored configurations of data sets, and the names of sets with other settings."""
 
-import dataclasses
 import hashlib
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from jaxunshear.config.data import DataSettings, PairedData, PoseData, Ranges
-from jaxunshear.config.image import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.config.sensor import (
+    FITTED_CAMERA,
     FITTED_FRICTION,
+    FLUSH_CAMERA,
     TACTIP_331,
     TACTIP_331_FITTED,
     TACTIP_331_FLUSH,
+    Preprocess,
     Sensor,
     describe_sensor,
 )
+from jaxunshear.config.types import Value
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
@@ -24,12 +26,14 @@ METADATA = "metadata.json"  # of a stored set: its settings, counts, frames and 
 # of a stored set: the SHA-256 of each shard, and the checksum of its metadata
 MANIFEST = "shards.json"
 
-# what sets of the fitted sensor share
+# what sets share: the fitted sensor, that sensor at 256 px, the paper's numbers of contacts
 FITTED: Json = {"camera": FITTED_CAMERA, "friction": FITTED_FRICTION}
 FITTED_256: Json = FITTED | {
     "camera": replace(FITTED_CAMERA, frame_px=256),
     "preprocess": Preprocess(size=256),
 }
+PAPER: Json = FITTED_256 | {"poses": 200, "tap_depth_jitter_mm": 1.0}
+SHARED_SLIDES: Json = {"slides": 4, "poses_a_slide": 4}
 SKIN_RANGES: Json = FITTED | {  # contacts such as recordings of an edge have
     "stimuli": ("edge", "disk", "clover", "teardrop"),
     "ranges": Ranges(
@@ -37,7 +41,8 @@ SKIN_RANGES: Json = FITTED | {  # contacts such as recordings of an edge have
     ),
 }
 # the greatest depth at which a dome that leans so far touches within its contact rings
-TILTED_RANGES = Ranges(depth_max_mm=5.0, tilt_deg=25.0)
+TILTED: Json = FITTED | {"ranges": Ranges(depth_max_mm=5.0, tilt_deg=25.0)}
+TWISTED: Json = FITTED | {"ranges": Ranges(twist_deg=5.0)}
 
 PAIRED = {
     each.config: each
@@ -47,31 +52,13 @@ PAIRED = {
         PairedData(config="calibrated", **FITTED),
         PairedData(config="standard", poses=1200, **FITTED),
         PairedData(config="skin", poses=750, **SKIN_RANGES),
-        PairedData(config="parted", poses=800, slides=4, poses_a_slide=4, **FITTED),
-        PairedData(config="end_to_end", poses=3200, slides=4, poses_a_slide=4, **FITTED_256),
-        PairedData(
-            config="twisted",
-            poses=200,
-            slides=4,
-            poses_a_slide=4,
-            ranges=Ranges(twist_deg=5.0),
-            **FITTED,
-        ),
-        PairedData(
-            config="tilted", poses=200, slides=4, poses_a_slide=4, ranges=TILTED_RANGES, **FITTED
-        ),
+        PairedData(config="parted", poses=800, **SHARED_SLIDES, **FITTED),
+        PairedData(config="end_to_end", poses=3200, **SHARED_SLIDES, **FITTED_256),
+        PairedData(config="twisted", poses=200, **SHARED_SLIDES, **TWISTED),
+        PairedData(config="tilted", poses=200, **SHARED_SLIDES, **TILTED),
         PairedData(config="paper_short", poses=1200, **FITTED_256),
-        PairedData(
-            config="paper", poses=200, taps=50, slides=150, tap_depth_jitter_mm=1.0, **FITTED_256
-        ),
-        PairedData(
-            config="paper_tenth",
-            poses=200,
-            taps=5,
-            slides=15,
-            tap_depth_jitter_mm=1.0,
-            **FITTED_256,
-        ),
+        PairedData(config="paper", taps=50, slides=150, **PAPER),
+        PairedData(config="paper_tenth", taps=5, slides=15, **PAPER),
     )
 }
 POSE = {
@@ -84,7 +71,7 @@ POSE = {
         PoseData(config="skin", poses=1000, **SKIN_RANGES),
         PoseData(config="parted", poses=1600, **FITTED),
         PoseData(config="end_to_end", poses=6400, **FITTED_256),
-        PoseData(config="tilted", poses=1200, ranges=TILTED_RANGES, **FITTED),
+        PoseData(config="tilted", poses=1200, **TILTED),
         PoseData(config="paper_short", poses=3000, **FITTED_256),
         PoseData(config="paper", poses=10_000, **FITTED_256),
         PoseData(config="paper_tenth", poses=1000, **FITTED_256),
@@ -103,19 +90,15 @@ def get_config_sensor(config: str) -> Sensor:
 
 def describe_set(settings: DataSettings, sensor: Sensor) -> dict:
     """Describe in plain JSON types everything that decides a set's bits."""
-    fields = dataclasses.asdict(settings)  # type: ignore[arg-type]
+    stored = asdict(cast(Value, settings))
     for name in settings.not_stored:
-        del fields[name]
-    description = {
-        "set": settings.set_name,
-        "version": settings.version,
-        "sensor": describe_sensor(sensor),
-        "settings": fields,
-    }
+        del stored[name]
+    head = {"set": settings.set_name, "version": settings.version}
+    description = head | {"sensor": describe_sensor(sensor), "settings": stored}
     return json.loads(json.dumps(description))
 
 
-def convert_to_floats(settings: Any) -> Any:
+def convert_to_floats(settings: Value) -> Value:
     """Convert all numbers in nested settings to floats: 1 and 1.0 are the same setting."""
     if isinstance(settings, dict):
         return {name: convert_to_floats(value) for name, value in settings.items()}
@@ -137,11 +120,10 @@ def compute_fingerprint(settings: DataSettings, sensor: Sensor) -> str:
 
 
 def compute_config_name(settings: DataSettings, sensor: Sensor = TACTIP_331) -> str:
-    """Return the name under which a set is stored.
+    """Return the name under which a set is stored, that of its unchanged configuration if it can.
 
-    It is `settings.config` if nothing in that configuration was changed, else
-    `custom-<fingerprint>`; for recordings `recorded-<fingerprint>`. Raises UserError for an unknown
-    configuration.
+    Else it is `custom-<fingerprint>`; for recordings `recorded-<fingerprint>`. Raises UserError for
+    an unknown configuration.
     """
     configs = CONFIGS.get(settings.set_name)
     if configs is None:

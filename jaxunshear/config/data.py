@@ -1,18 +1,13 @@
 """Settings of data sources: the two simulated data sets, and recordings."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from typing import Annotated, ClassVar, Literal, NamedTuple, cast
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar, Literal
 
-from jaxunshear.config.image import Camera, Nuisance, Preprocess
-from jaxunshear.config.registry import (
-    POSENET_SHEARED,
-    RENDERER,
-    NetworkSpec,
-)
+from jaxunshear.config.sensor import Camera, Nuisance, Preprocess
 from jaxunshear.config.splits import BLOCK, count_train_poses
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
-from jaxunshear.config.types import Bound, Count, NotNegative, Positive, Rule, Share, between
+from jaxunshear.config.types import Bound, Count, NotNegative, Positive, Problem, Share, between
 from jaxunshear.errors import UserError
 
 PairingMethod = Literal["rendered", "nearest", "pose_id", "file", "simulated"]
@@ -38,8 +33,7 @@ class Ranges:
     """Ranges from which poses and slides are drawn uniformly (paper section 3.2)."""
 
     lateral_mm: NotNegative = 5.0  # x and y within +- this
-    # the text's "[-45, -45]" read as +-45
-    yaw_deg: Annotated[float, between(0, 180)] = 45.0
+    yaw_deg: Annotated[float, between(0, 180)] = 45.0  # the text's "[-45, -45]" read as +-45
     depth_min_mm: Positive = 1.0  # indentation depth from this
     depth_max_mm: float = 6.0  # to this
     move_mm: NotNegative = 2.5  # slide offset within +- this, along x or y or both, by chance
@@ -48,36 +42,27 @@ class Ranges:
     # the sensor leans by up to this in any direction, from first touch to the slide's end alike
     tilt_deg: NotNegative = 0.0
 
-    def rules(self) -> Iterator[Rule]:
-        """Yield the rules that hold for any sensor; `rules_simulated.py` has those of its reach."""
-        yield Rule(
-            self.depth_min_mm <= self.depth_max_mm,
-            "depth_min_mm",
-            f"must not exceed depth_max_mm ({self.depth_max_mm:g})",
-        )
+    def find_problems(self) -> Iterator[Problem]:
+        """Find problems with any sensor; `rules_simulated.py` finds those with its reach."""
+        if not self.depth_min_mm <= self.depth_max_mm:
+            yield Problem("depth_min_mm", f"must not exceed depth_max_mm ({self.depth_max_mm:g})")
 
 
 # a set is recorded over days (paper section 3.2.2)
 DRIFTING_NUISANCE = Nuisance(drift_px=1.0, drift_brightness=0.1)
 
 
-class ExampleCounts(NamedTuple):
-    """How many examples networks learn from."""
-
-    pairs: int
-    taps: int
-
-
-class StoredSettings:
-    """What is common to the settings of all sets that are stored on disk."""
+class DataSettings:
+    """Settings of a set of contacts, which may be stored on disk."""
 
     set_name: ClassVar[str] = ""
     version: ClassVar[str] = ""  # of the stored set; raise it whenever equal settings give new bits
     # fields that do not decide the bits of the set: names, and how trainings use it
     not_stored: ClassVar[tuple[str, ...]] = ()
+    preprocess: Preprocess = Preprocess()
 
 
-class SourceSettings(StoredSettings):
+class SourceSettings(DataSettings):
     """Settings of a data source, as an experiment's `paired`; docs/extending.md adds one."""
 
     registered: ClassVar[dict[str, type["SourceSettings"]]] = {}
@@ -85,36 +70,18 @@ class SourceSettings(StoredSettings):
     source: ClassVar[type | str] = ""
     is_simulated: ClassVar[bool] = False
     contacts: ClassVar[str] = "other data"  # what networks learn from, in messages
-    preprocess: Preprocess = Preprocess()
-
-    @property
-    def pose_kind(self) -> type:
-        """The class of the settings that an experiment's `pose` must have beside these."""
-        return RecordedTaps
-
-    def count_examples(self, pose: "PoseData | RecordedTaps") -> ExampleCounts:
-        """Count the training examples; without a limit if they are not known before a run."""
-        return ExampleCounts(2**62, 2**62)
 
     def get_simulated(self, what: str) -> "PairedData":
         """Return the settings of simulated contacts. Raises UserError, as `what` needs these."""
+        if isinstance(self, PairedData):
+            return self
         raise UserError(
             f"{what} needs a model of simulated touches: this one learnt from {self.contacts}"
         )
 
-    def list_helpers(self, spec: NetworkSpec, pins: bool) -> tuple[str, ...]:
-        """List the networks that a network over images or pins learns from, by its data."""
-        return ()
-
-    def select_for(
-        self, spec: NetworkSpec, pose: "PoseData | RecordedTaps"
-    ) -> "SourceSettings | PoseData":
-        """Return the set that a network learns from, settings that it does not use at defaults."""
-        return self
-
 
 @dataclass(frozen=True)
-class SimulatedData(StoredSettings):
+class SimulatedData(DataSettings):
     """Settings that both simulated sets have."""
 
     version: ClassVar[str] = "3.0.0"
@@ -139,27 +106,22 @@ class SimulatedData(StoredSettings):
         """Count the training poses over all stimuli."""
         return sum(count_train_poses(self.seed, name, self.poses) for name in self.names)
 
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(len(self.stimuli) > 0, "stimuli", "name at least one")
-        yield Rule(len(set(self.names)) == len(self.names), "stimuli", "name each stimulus once")
-        yield Rule(
-            self.friction is None or self.friction >= 0,
-            "friction",
-            "use 0 or more, or none for each material's own",
-        )
+    def find_problems(self) -> Iterator[Problem]:
+        if not self.stimuli:
+            yield Problem("stimuli", "name at least one")
+        if len(set(self.names)) < len(self.names):
+            yield Problem("stimuli", "name each stimulus once")
+        if self.friction is not None and not self.friction >= 0:
+            yield Problem("friction", "use 0 or more, or none for each material's own")
         frame_px = self.camera.frame_px
-        yield Rule(
-            self.preprocess.size <= frame_px,
-            "preprocess.size",
-            f"larger than the camera's frame of {frame_px} px: "
-            "use a smaller size or a larger camera.frame_px",
-        )
-        for name, most in (("blur_px", frame_px / 8), ("drift_px", frame_px / 4)):
-            yield Rule(
-                0 <= getattr(self.nuisance, name) <= most,
-                f"nuisance.{name}",
-                f"use 0 to {most:g} for a frame of {frame_px} px",
+        if self.preprocess.size > frame_px:
+            remedy = "use a smaller size or a larger camera.frame_px"
+            yield Problem(
+                "preprocess.size", f"larger than the camera's frame of {frame_px} px: {remedy}"
             )
+        for name, most in (("blur_px", frame_px / 8), ("drift_px", frame_px / 4)):
+            if not 0 <= getattr(self.nuisance, name) <= most:
+                yield Problem(f"nuisance.{name}", f"use 0 to {most:g} for a frame of {frame_px} px")
 
 
 @dataclass(frozen=True)
@@ -176,35 +138,14 @@ class PairedData(SimulatedData, SourceSettings):
     # a tap misses its slide's depth by up to this (the paper: 1.0)
     tap_depth_jitter_mm: float = 0.0
 
-    def rules(self) -> Iterator[Rule]:
-        yield from super().rules()
-        yield Rule(
-            self.taps <= self.slides,
-            "taps",
-            f"exceeds slides ({self.slides}): some would never be paired",
-        )
-        yield Rule(
-            0 <= self.tap_depth_jitter_mm <= self.ranges.depth_min_mm,
-            "tap_depth_jitter_mm",
-            f"use 0 to ranges.depth_min_mm ({self.ranges.depth_min_mm:g}), "
-            "or a tap may miss the stimulus",
-        )
-
-    @property
-    def pose_kind(self) -> type:
-        return PoseData
-
-    def count_examples(self, pose: "PoseData | RecordedTaps") -> ExampleCounts:
-        taps = cast(PoseData, pose)
-        return ExampleCounts(self.slides * self.count_training_poses(), taps.count_training_poses())
-
-    def get_simulated(self, what: str) -> "PairedData":
-        return self
-
-    def select_for(
-        self, spec: NetworkSpec, pose: "PoseData | RecordedTaps"
-    ) -> "SourceSettings | PoseData":
-        return cast(PoseData, pose) if spec.learns_from == "taps" else self
+    def find_problems(self) -> Iterator[Problem]:
+        yield from super().find_problems()
+        if self.taps > self.slides:
+            yield Problem("taps", f"exceeds slides ({self.slides}): some would never be paired")
+        most = self.ranges.depth_min_mm
+        if not 0 <= self.tap_depth_jitter_mm <= most:
+            remedy = f"use 0 to ranges.depth_min_mm ({most:g}), or a tap may miss the stimulus"
+            yield Problem("tap_depth_jitter_mm", remedy)
 
 
 @dataclass(frozen=True)
@@ -263,51 +204,25 @@ class Recorded(SourceSettings):
     seed: Seed = 0  # of that draw, or of the block's place
     preprocess: Preprocess = field(default_factory=Preprocess)
 
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(
-            bool(self.tap_folder or self.slide_folder),
-            "tap_folder",
-            "name your recordings: add --recordings DIR",
-        )
-        yield Rule(
-            bool(self.pairs) == (self.pairing == "file"),
-            "pairs",
-            "a table of pairs goes with pairing file: add both, or neither",
-        )
-        is_default = (self.labelled, self.unlabelled, self.direct_taps) == (1, "left_out", "none")
-        yield Rule(
-            self.pairing != "simulated" or is_default,
-            "pairing",
-            "simulated takes no recorded slide to learn from: "
-            "leave labelled at 1, unlabelled at left_out and direct_taps at none",
-        )
-        yield Rule(
-            self.unlabelled == "left_out" or self.pairing in ("rendered", "nearest"),
-            "unlabelled",
-            f"poses that are read give no partner for pairing {self.pairing}: "
-            "use pairing rendered or nearest",
-        )
-
-    def list_helpers(self, spec: NetworkSpec, pins: bool) -> tuple[str, ...]:
-        if spec.role == "unshears":
-            reads = (POSENET_SHEARED,) if self.unlabelled == "read" else ()
-            return reads + ((RENDERER,) if self.pairing in RENDERED_PAIRINGS else ())
-        if spec.learns_from == "slides":
-            return (RENDERER,) if self.direct_taps == "rendered" else ()
-        return (RENDERER,) if pins and spec.name != RENDERER else ()
-
-    def select_for(
-        self, spec: NetworkSpec, pose: "PoseData | RecordedTaps"
-    ) -> "SourceSettings | PoseData":
-        used = replace(self, labelled=1.0) if spec.learns_from == "taps" else self
-        if spec.name != POSENET_SHEARED:
-            used = replace(used, direct_taps="none")
-        if spec.role == "unshears":
-            return used
-        # of all these only posenet_sheared uses pairing, if it learns from simulated slides
-        simulated = spec.learns_from == "slides" and used.pairing == "simulated"
-        pairing: PairingMethod = "simulated" if simulated else "rendered"
-        return replace(used, pairing=pairing, pairs="", unlabelled="left_out")
+    def find_problems(self) -> Iterator[Problem]:
+        if not (self.tap_folder or self.slide_folder):
+            yield Problem("tap_folder", "name your recordings: add --recordings DIR")
+        if bool(self.pairs) != (self.pairing == "file"):
+            remedy = "a table of pairs goes with pairing file: add both, or neither"
+            yield Problem("pairs", remedy)
+        use = self.labelled, self.unlabelled, self.direct_taps
+        if self.pairing == "simulated" and use != (1, "left_out", "none"):
+            yield Problem(
+                "pairing",
+                "simulated takes no recorded slide to learn from: "
+                "leave labelled at 1, unlabelled at left_out and direct_taps at none",
+            )
+        if self.unlabelled == "read" and self.pairing not in ("rendered", "nearest"):
+            yield Problem(
+                "unlabelled",
+                f"poses that are read give no partner for pairing {self.pairing}: "
+                "use pairing rendered or nearest",
+            )
 
 
 @dataclass(frozen=True)
@@ -316,4 +231,3 @@ class RecordedTaps:
 
 
 SourceSettings.registered |= {kind.__name__: kind for kind in (PairedData, Recorded)}
-DataSettings = SourceSettings | PoseData

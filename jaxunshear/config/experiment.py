@@ -1,16 +1,15 @@
 """What an experiment file holds: one frozen dataclass for the entire path of the data."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 from jaxunshear.config.data import PairedData, PoseData, RecordedTaps, Seed, SourceSettings
-from jaxunshear.config.networks import PinNet, PoseNet, UnshearNet
-from jaxunshear.config.registry import NETWORKS, list_networks
+from jaxunshear.config.networks import NETWORKS, PinNet, PoseNet, UnshearNet, list_networks
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.config.training import POSENET_TRAINING, Training
-from jaxunshear.config.types import Rule
+from jaxunshear.config.types import Problem
 
 PIN_TRAINING = Training(
     epochs=100,
@@ -58,31 +57,20 @@ class Experiment:
     train_teacher: Training = POSENET_TRAINING  # of the PoseNet of pose_label and pose_tap
     train_pins: Training = PIN_TRAINING  # of networks over pins, instead of the other three
 
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(
-            re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", self.name) is not None,
-            "name",
-            "use letters, digits, '-', '_' and '.'; it names the folder of the results",
-        )
-        yield Rule(
-            len(self.networks) > 0, "networks", f"name at least one of {', '.join(list_networks())}"
-        )
-        yield Rule(
-            len(set(self.networks)) == len(self.networks), "networks", "name each network once"
-        )
-        yield make_network_rule(self.networks)
-        yield Rule(
-            len(set(list_stimulus_names(self.unseen))) == len(self.unseen),
-            "unseen",
-            "name each stimulus once",
-        )
-
-
-def make_network_rule(networks: Sequence[str]) -> Rule:
-    """Make the rule that networks are known."""
-    unknown = ", ".join(name for name in networks if name not in list_networks())
-    remedy = f"{unknown} is unknown: use one of {', '.join(list_networks())}"
-    return Rule(not unknown, "networks", f"{remedy}, or name the experiment file that registers it")
+    def find_problems(self) -> Iterator[Problem]:
+        if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", self.name):
+            remedy = "use letters, digits, '-', '_' and '.'; it names the folder of the results"
+            yield Problem("name", remedy)
+        known = ", ".join(list_networks())
+        if not self.networks:
+            yield Problem("networks", f"name at least one of {known}")
+        if len(set(self.networks)) < len(self.networks):
+            yield Problem("networks", "name each network once")
+        if unknown := ", ".join(name for name in self.networks if name not in list_networks()):
+            remedy = f"use one of {known}, or name the experiment file that registers it"
+            yield Problem("networks", f"{unknown} is unknown: {remedy}")
+        if len(set(list_stimulus_names(self.unseen))) < len(self.unseen):
+            yield Problem("unseen", "name each stimulus once")
 
 
 def uses_pins(experiment: Experiment) -> bool:

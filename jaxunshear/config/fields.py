@@ -75,7 +75,10 @@ def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
             text = next(words, "--")
             if text.startswith("--"):
                 raise UserError(f"--{name} needs a value: {describe_hint(kind)}")
-        pairs.append((name, _parse(text, kind, name)))
+        try:
+            pairs.append((name, _parse_value(text.strip(), kind)))
+        except ValueError:
+            raise UserError(f"--{name} takes {describe_hint(kind)}, not '{text}'") from None
     return pairs
 
 
@@ -166,19 +169,17 @@ def _replace_at_path(node: Any, path: list[str], value: object) -> Any:
     return dataclasses.replace(node, **{path[0]: value})
 
 
-def _parse(text: str, kind: Hint, name: str) -> Value:
-    try:
-        return _parse_value(text.strip(), kind)
-    except ValueError:
-        raise UserError(f"--{name} takes {describe_hint(kind)}, not '{text}'") from None
-
-
 def _parse_value(text: str, kind: Hint) -> Value:
     """Parse `text` as a value of `kind`. Raises ValueError."""
     if (inner := get_optional(kind)) is not None:
         return None if text.lower() == "none" else _parse_value(text, inner)
     if get_origin(kind) is tuple:
-        return _parse_tuple(text, typing.get_args(kind))
+        kinds, is_list = typing.get_args(kind), typing.get_args(kind)[-1] is ...
+        items = text.split("," if is_list else ":") if text or not is_list else []
+        kinds = kinds[:1] * len(items) if is_list else kinds
+        return tuple(
+            _parse_value(item.strip(), each) for item, each in zip(items, kinds, strict=True)
+        )
     if is_weights(kind):
         pairs = [item.split(":") for item in text.split(",") if item]
         return {name.strip(): float(weight) for name, weight in pairs}
@@ -191,12 +192,3 @@ def _parse_value(text: str, kind: Hint) -> Value:
     if list_choices(kind):
         return parse_stimulus(text) if list_groups(kind) else text
     return kind(text)
-
-
-def _parse_tuple(text: str, kinds: Sequence[Hint]) -> Value:
-    """Parse a list joined by commas, or a tuple of fixed length joined by colons."""
-    if kinds[-1] is ...:
-        items = text.split(",") if text else []
-        return tuple(_parse_value(item.strip(), kinds[0]) for item in items)
-    items = text.split(":")
-    return tuple(_parse_value(item.strip(), kind) for item, kind in zip(items, kinds, strict=True))

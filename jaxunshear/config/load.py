@@ -10,7 +10,7 @@ from typing import Any
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import LOSSES
-from jaxunshear.config.registry import REGISTRY
+from jaxunshear.config.networks import REGISTRY
 from jaxunshear.config.sensor import list_own_layouts
 from jaxunshear.config.types import check_types
 from jaxunshear.errors import UserError
@@ -69,7 +69,7 @@ def list_registering_files() -> list[str]:
 
     Processes of a sweep run them.
     """
-    losses = [spec.compute for spec in LOSSES.values() if not isinstance(spec.compute, str)]
+    losses = [spec.compute for spec in LOSSES.values() if spec.compute is not None]
     files = {function.__code__.co_filename for function in [*losses, *list_own_layouts()]}
     return sorted(files | {spec.file for spec in REGISTRY.values() if spec.file})
 

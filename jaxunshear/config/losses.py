@@ -21,7 +21,6 @@ Role = Literal["unshears", "reads poses", "renders"]  # what a network of a loss
 InputKind = Literal["images", "pins"]
 Requirement = Literal["codes", "shared slides", "two slides", "simulated", "still pins"]
 
-MODULE = "jaxunshear.training.losses"
 SUPERVISION = ("pose_label", "pose_tap")  # losses that a teacher computes
 EXCHANGE = ("counterfactual", "code_agreement")  # losses that compare or swap codes of two slides
 
@@ -50,7 +49,7 @@ class LossSpec:
     """What a loss is for, and what it needs."""
 
     name: str
-    compute: Callable[..., Any] | str  # a function, or where it is, as `module:function`
+    compute: Callable[..., Any] | None = None  # None: compute_<name>_term of training/losses.py
     role: Role = "unshears"
     modalities: tuple[InputKind, ...] = ("images", "pins")
     # of `Reconstruction`; a network that does not compute them leaves the loss out
@@ -63,70 +62,42 @@ class LossSpec:
 
     def load(self) -> Callable[..., Any]:
         """Return the function that computes the loss."""
-        if isinstance(self.compute, str):
-            function: Callable[..., Any] = pkgutil.resolve_name(self.compute)
-            return function
-        return self.compute
+        place = f"jaxunshear.training.losses:compute_{self.name}_term"
+        return self.compute or pkgutil.resolve_name(place)
 
 
+IMAGES: tuple[InputKind, ...] = ("images",)
+PINS: tuple[InputKind, ...] = ("pins",)
+SIMULATED: tuple[Requirement, ...] = ("simulated", "still pins")
 # The order is that in which the terms are added: another one would change the bits of their sum.
 LOSSES: dict[str, LossSpec] = {
     spec.name: spec
     for spec in (
-        LossSpec("supervised", f"{MODULE}:compute_supervised_term"),
-        LossSpec(
-            "patch",
-            f"{MODULE}:compute_patch_term",
-            modalities=("images",),
-            is_validated=False,
-        ),
-        LossSpec("pose_label", f"{MODULE}:compute_pose_label_term", fields=("labels",)),
-        LossSpec("pose_tap", f"{MODULE}:compute_pose_tap_term"),
-        LossSpec("reconstruction", f"{MODULE}:compute_reconstruction_term", parts=("sheared",)),
+        LossSpec("supervised"),
+        LossSpec("patch", modalities=IMAGES, is_validated=False),
+        LossSpec("pose_label", fields=("labels",)),
+        LossSpec("pose_tap"),
+        LossSpec("reconstruction", parts=("sheared",)),
         LossSpec(
             "counterfactual",
-            f"{MODULE}:compute_counterfactual_term",
             parts=("counterfactual",),
             fields=("other", "swapped"),
             requires=("codes", "shared slides"),
         ),
         LossSpec(
-            "code_agreement",
-            f"{MODULE}:compute_code_agreement_term",
-            parts=("disagreement",),
-            fields=("swapped",),
-            requires=("codes",),
+            "code_agreement", parts=("disagreement",), fields=("swapped",), requires=("codes",)
         ),
-        LossSpec(
-            "slide",
-            f"{MODULE}:compute_slide_term",
-            parts=("z_s",),
-            fields=("slide_labels",),
-            requires=("codes",),
-        ),
-        LossSpec(
-            "tap_identity",
-            f"{MODULE}:compute_tap_identity_term",
-            modalities=("pins",),
-            requires=("simulated", "still pins"),
-            is_validated=False,
-        ),
+        LossSpec("slide", parts=("z_s",), fields=("slide_labels",), requires=("codes",)),
+        LossSpec("tap_identity", modalities=PINS, requires=SIMULATED, is_validated=False),
         LossSpec(
             "consistency",
-            f"{MODULE}:compute_consistency_term",
-            modalities=("pins",),
-            requires=("simulated", "still pins", "two slides"),
+            modalities=PINS,
+            requires=(*SIMULATED, "two slides"),
             is_validated=False,
         ),
-        LossSpec("pose", f"{MODULE}:compute_pose_term", role="reads poses"),
-        LossSpec(
-            "rendered_pose",
-            f"{MODULE}:compute_rendered_pose_term",
-            role="reads poses",
-            modalities=("pins",),
-            is_validated=False,
-        ),
-        LossSpec("pins", f"{MODULE}:compute_pin_term", role="renders", modalities=("pins",)),
+        LossSpec("pose", role="reads poses"),
+        LossSpec("rendered_pose", role="reads poses", modalities=PINS, is_validated=False),
+        LossSpec("pins", role="renders", modalities=PINS),
     )
 }
 
@@ -150,22 +121,17 @@ def register_loss(
 
     def register(compute: Callable[..., Any]) -> Callable[..., Any]:
         registered = LOSSES.get(name)
-        if registered is not None and not _is_reloaded(registered.compute, compute):
-            raise UserError(f"loss '{name}' is there already: choose another name")
+        if registered is not None:
+            others = registered.compute
+            # a file may be read twice
+            if others is None or others.__code__.co_filename != compute.__code__.co_filename:
+                raise UserError(f"loss '{name}' is there already: choose another name")
         LOSSES[name] = LossSpec(
             name, compute, role, modalities, parts, fields, requires, is_validated
         )
         return compute
 
     return register
-
-
-def _is_reloaded(registered: Callable[..., Any] | str, compute: Callable[..., Any]) -> bool:
-    """Return whether both functions are of one experiment file, which may be read twice."""
-    return (
-        not isinstance(registered, str)
-        and registered.__code__.co_filename == compute.__code__.co_filename
-    )
 
 
 def get_loss(name: str) -> LossSpec:

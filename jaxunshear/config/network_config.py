@@ -4,28 +4,21 @@
 >>> config.training.losses, config.digest
 
 A config holds all that decides the weights of a network, and nothing else: two experiments whose
-configs are equal can share the training, as the rows of a sweep do.
+configs are equal can share the training, as the rows of a sweep do. Four functions derive it from
+an experiment: `_list_helpers` the networks that it learns from, `_select_source` its data,
+`_select_training` its losses and schedule, `_select_net` its size and parts.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import cast
 
 from jaxunshear.config.configs import compute_digest
-from jaxunshear.config.data import PoseData, SourceSettings
-from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.data import PairedData, PairingMethod, PoseData, Recorded, SourceSettings
+from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.losses import InputKind
 from jaxunshear.config.networks import (
-    NetSettings,
-    PinNet,
-    PinPoseNet,
-    PinRenderer,
-    PinUnshear,
-    UNet,
-    UnshearNet,
-)
-from jaxunshear.config.registry import (
     DISENTANGLED,
     ENTANGLED,
     POSENET_SHEARED,
@@ -33,10 +26,17 @@ from jaxunshear.config.registry import (
     RENDERER,
     TEACHER,
     UNET,
+    NetSettings,
     NetworkSpec,
+    PinPoseNet,
+    PinRenderer,
+    PinUnshear,
+    UNet,
+    UnshearNet,
 )
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.training import Training, drop_pair_losses, uses_teacher
+from jaxunshear.files import Json
 
 TEACHER_SEED = 1000  # is added to the seed of the experiment
 HELPERS = (RENDERER, TEACHER, POSENET_SHEARED)  # networks that others learn from, in their order
@@ -62,11 +62,6 @@ class NetworkConfig:
     def spec(self) -> NetworkSpec:
         return REGISTRY[self.name]
 
-    @property
-    def start(self) -> str:
-        """The weights to start from: released ones, a run, or empty for random ones."""
-        return self.training.start
-
     @cached_property
     def digest(self) -> str:
         """Eight hexadecimal digits: networks of one digest have equal trainings."""
@@ -75,36 +70,32 @@ class NetworkConfig:
 
 def resolve_network(experiment: Experiment, name: str) -> NetworkConfig:
     """Resolve the config of one network of an experiment."""
-    spec, pins = REGISTRY[name], experiment.unshear.input == "pins"
-    training, source = _select_training(experiment, spec), experiment.paired
-    helpers = source.list_helpers(spec, pins)
-    if spec.role == "unshears" and uses_teacher(training):
-        helpers = (TEACHER, *helpers)
-    if spec.role == "reads poses" and pins:
-        losses = {"pose": 1.0} | ({"rendered_pose": 1.0} if RENDERER in helpers else {})
-        training = replace(training, losses=losses)
-    pose = experiment.pose
-    learns_from_taps = "tap_identity" in training.losses and source.is_simulated
+    spec, pins = REGISTRY[name], uses_pins(experiment)
+    training, simulated = _select_training(experiment, spec), experiment.paired.is_simulated
+    learns_from_taps = "tap_identity" in training.losses and simulated
     return NetworkConfig(
         name=name,
         modality="pins" if pins or name == RENDERER else "images",
-        source=source.select_for(spec, pose),
-        taps=cast(PoseData, pose) if learns_from_taps else None,
+        source=_select_source(experiment, spec),
+        taps=cast(PoseData, experiment.pose) if learns_from_taps else None,
         sensor=experiment.sensor,
         net=_select_net(experiment, spec),
         training=training,
         targets=experiment.targets,
         seed=experiment.seed + (TEACHER_SEED if name == TEACHER else 0),
-        randomised=experiment.pins.turned if pins and source.is_simulated else 0.0,
-        needs=tuple(resolve_network(experiment, helper) for helper in helpers),
+        randomised=experiment.pins.turned if pins and simulated else 0.0,
+        needs=tuple(resolve_network(experiment, need) for need in _list_helpers(experiment, spec)),
     )
+
+
+def resolve_trained_networks(experiment: Experiment) -> list[NetworkConfig]:
+    """Resolve the configs of all networks to train, in their order."""
+    return [resolve_network(experiment, name) for name in list_trained_networks(experiment)]
 
 
 def list_trained_networks(experiment: Experiment) -> tuple[str, ...]:
     """List the networks to train, in this order: `experiment.networks` after those they need."""
-    return _put_helpers_first(
-        resolve_network(experiment, network) for network in experiment.networks
-    )
+    return _put_helpers_first([resolve_network(experiment, name) for name in experiment.networks])
 
 
 def list_required_networks(config: NetworkConfig) -> tuple[str, ...]:
@@ -112,8 +103,7 @@ def list_required_networks(config: NetworkConfig) -> tuple[str, ...]:
     return _put_helpers_first([config])
 
 
-def _put_helpers_first(configs: Iterable[NetworkConfig]) -> tuple[str, ...]:
-    configs = list(configs)
+def _put_helpers_first(configs: Sequence[NetworkConfig]) -> tuple[str, ...]:
     needed = {name for config in configs for name in _list_needs(config)}
     first = [name for name in HELPERS if name in needed]
     return tuple(dict.fromkeys([*first, *(config.name for config in configs)]))
@@ -123,19 +113,50 @@ def _list_needs(config: NetworkConfig) -> set[str]:
     return {name for need in config.needs for name in (need.name, *_list_needs(need))}
 
 
-def resolve_trained_networks(experiment: Experiment) -> list[NetworkConfig]:
-    """Resolve the configs of all networks to train, in their order."""
-    return [resolve_network(experiment, name) for name in list_trained_networks(experiment)]
-
-
 def takes_taps(experiment: Experiment) -> bool:
     """Return whether a network of a simulated experiment learns from the taps of `pose`."""
     configs = resolve_trained_networks(experiment)
     return any(config.taps or config.source is experiment.pose for config in configs)
 
 
+def _list_helpers(experiment: Experiment, spec: NetworkSpec) -> list[str]:
+    """List the networks that a network learns from: what it needs each of them for."""
+    paired, pins, unshears = experiment.paired, uses_pins(experiment), spec.role == "unshears"
+    training = experiment.train_pins if pins else experiment.train
+    is_needed = {TEACHER: unshears and uses_teacher(training)}
+    if isinstance(paired, Recorded):
+        is_needed[POSENET_SHEARED] = unshears and paired.unlabelled == "read"
+        if unshears:
+            is_needed[RENDERER] = paired.pairing in ("rendered", "simulated")
+        elif spec.learns_from == "slides":
+            is_needed[RENDERER] = paired.direct_taps == "rendered"
+        else:
+            is_needed[RENDERER] = pins and spec.name != RENDERER
+    return [name for name, needed in is_needed.items() if needed]
+
+
+def _select_source(experiment: Experiment, spec: NetworkSpec) -> SourceSettings | PoseData:
+    """Select the set that a network learns from, settings that it does not use at defaults."""
+    paired, takes_taps_alone = experiment.paired, spec.learns_from == "taps"
+    if isinstance(paired, PairedData):
+        return cast(PoseData, experiment.pose) if takes_taps_alone else paired
+    if not isinstance(paired, Recorded):
+        return paired
+    used = replace(
+        paired,
+        labelled=1.0 if takes_taps_alone else paired.labelled,
+        direct_taps=paired.direct_taps if spec.name == POSENET_SHEARED else "none",
+    )
+    if spec.role == "unshears":
+        return used
+    # of the pairings only posenet_sheared uses one, if it learns from simulated slides
+    simulated = not takes_taps_alone and paired.pairing == "simulated"
+    pairing: PairingMethod = "simulated" if simulated else "rendered"
+    return replace(used, pairing=pairing, pairs="", unlabelled="left_out")
+
+
 def _select_training(experiment: Experiment, spec: NetworkSpec) -> Training:
-    pins = experiment.unshear.input == "pins"
+    pins = uses_pins(experiment)
     if spec.role == "unshears":
         training = experiment.train_pins if pins else experiment.train
         has_few_pairs = pins and experiment.paired.is_simulated
@@ -143,7 +164,8 @@ def _select_training(experiment: Experiment, spec: NetworkSpec) -> Training:
     if spec.role == "renders":
         return drop_pair_losses(experiment.train_pins, pins=1.0)
     if pins:
-        return drop_pair_losses(experiment.train_pins, pose=1.0)
+        rendered = {"rendered_pose": 1.0} if RENDERER in _list_helpers(experiment, spec) else {}
+        return drop_pair_losses(experiment.train_pins, pose=1.0, **rendered)
     training = experiment.train_teacher if spec.name == TEACHER else experiment.train_posenet
     return drop_pair_losses(training, **training.losses)
 
@@ -152,9 +174,7 @@ def _select_net(experiment: Experiment, spec: NetworkSpec) -> NetSettings:
     """Select the settings of a network, derived from those that networks of its kind share."""
     if spec.make_settings is not None:
         return cast(NetSettings, spec.make_settings(experiment))
-    if spec.role == "renders":
-        return PinRenderer(**_list_dense_settings(experiment.pins))
-    if experiment.unshear.input == "pins":
+    if uses_pins(experiment) or spec.role == "renders":
         return _select_pin_net(experiment, spec)
     if spec.role == "reads poses":
         return experiment.posenet
@@ -172,13 +192,11 @@ def _select_pin_net(experiment: Experiment, spec: NetworkSpec) -> NetSettings:
         code = pins.shear_code if spec.name == DISENTANGLED else 0
         used = replace(pins, direct_convolved=(), turned=0.0, shear_code=code)
         return PinUnshear(**asdict(used))
-    settings = _list_dense_settings(pins)
+    settings: Json = {name: getattr(pins, name) for name in ("hidden", "layers", "noise_px")}
+    if spec.role == "renders":
+        return PinRenderer(**settings)
     if spec.learns_from == "slides":
         # simulated pins are turned by domain randomisation, without a network that knows of it
         turned = 0.0 if experiment.paired.is_simulated else pins.turned
         settings |= {"turned": turned, "convolved": pins.direct_convolved}
     return PinPoseNet(**settings)
-
-
-def _list_dense_settings(pins: PinNet) -> dict:
-    return {"hidden": pins.hidden, "layers": pins.layers, "noise_px": pins.noise_px}

@@ -1,10 +1,15 @@
-"""Settings of the networks: their sizes and parts."""
+"""The networks that an experiment can train, in one table, and the settings of each kind.
 
-from collections.abc import Iterator
+Other modules read the table. An experiment file can add a network, see docs/extending.md.
+"""
+
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
-from jaxunshear.config.types import Bound, Count, Counts, NotNegative, Rule, between
+from jaxunshear.config.losses import InputKind, Role
+from jaxunshear.config.types import Bound, Count, Counts, NotNegative, Problem, between
+from jaxunshear.errors import UserError
 
 CodeSize = Annotated[
     int, Bound(lambda size: size >= 0, "must not be below zero; 0 builds no shear code")
@@ -39,15 +44,12 @@ class UnshearNet:
     # "pins": networks over pins (`PinNet`) instead of these
     input: Literal["images", "pins"] = "images"
 
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(len(self.widths) > 1, "widths", "list at least two")
-        halvings = 2 ** len(self.widths)
-        yield Rule(
-            self.size % halvings == 0,
-            "size",
-            f"is not divisible by {halvings}: "
-            f"each of the {len(self.widths)} widths halves the image",
-        )
+    def find_problems(self) -> Iterator[Problem]:
+        if len(self.widths) < 2:
+            yield Problem("widths", "list at least two")
+        if self.size % 2 ** len(self.widths):
+            divisor = 2 ** len(self.widths)
+            yield Problem("size", f"is not divisible by {divisor}: each width halves the image")
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,8 @@ class UNet:
     size: int = 128
     widths: tuple[int, ...] = (32, 64, 64, 128, 256)
 
-    def rules(self) -> Iterator[Rule]:
-        yield from UnshearNet(self.size, self.widths).rules()
+    def find_problems(self) -> Iterator[Problem]:
+        yield from UnshearNet(self.size, self.widths).find_problems()
 
 
 @dataclass(frozen=True)
@@ -72,13 +74,11 @@ class PoseNet:
     widths: Counts = (16, 32, 64, 96, 128)  # channels a convolution
     hidden: Count = 128  # units of the dense layer before the last
 
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(len(self.widths) == 5, "widths", "list five: PoseNet has five convolutions")
-        yield Rule(
-            self.size % 16 == 0,
-            "size",
-            "is no multiple of 16, which PoseNet's strides and pooling need",
-        )
+    def find_problems(self) -> Iterator[Problem]:
+        if len(self.widths) != 5:
+            yield Problem("widths", "list five: PoseNet has five convolutions")
+        if self.size % 16:
+            yield Problem("size", "is no multiple of 16, which PoseNet's strides and pooling need")
 
 
 @dataclass(frozen=True)
@@ -121,3 +121,85 @@ class PinRenderer(PinNet):
 
 
 NetSettings = UnshearNet | UNet | PoseNet | PinUnshear | PinPoseNet | PinRenderer
+
+
+ENTANGLED: Final = "entangled"
+DISENTANGLED: Final = "disentangled"
+POSENET: Final = "posenet"
+ENTANGLED_LARGE: Final = "entangled_large"  # with as many parameters as the disentangled one
+UNET: Final = "unet"
+POSENET_SHEARED: Final = "posenet_sheared"  # PoseNet on slides
+# PoseNet of the losses pose_label and pose_tap: trained first, from another seed, never evaluated
+TEACHER: Final = "posenet_teacher"
+# pose to tap, trained on recorded taps: draws the partners of recorded slides
+RENDERER: Final = "renderer"
+
+IMAGES_ALONE: tuple[InputKind, ...] = ("images",)
+PIN_CONSTANTS = ("rest", "spread", "grid")  # variables of networks over pins that are not trained
+
+
+@dataclass(frozen=True)
+class NetworkSpec:
+    """What a network does, what it learns from, and which settings it has."""
+
+    name: str
+    role: Role
+    learns_from: Literal["pairs", "taps", "slides"]
+    title: str = ""  # of its images in tables and figures
+    modalities: tuple[InputKind, ...] = ("images", "pins")  # that it may read
+    # the parts that are in released weights, () for all of it; None: it is not released
+    released_parts: tuple[str, ...] | None = None
+    # of a network that an experiment file has registered: its settings, and that file
+    make_settings: Callable[..., object] | None = None
+    file: str = ""
+
+
+REGISTRY = {
+    spec.name: spec
+    for spec in (
+        NetworkSpec(RENDERER, "renders", "taps"),
+        NetworkSpec(TEACHER, "reads poses", "taps"),
+        NetworkSpec(
+            ENTANGLED, "unshears", "pairs", "entangled", released_parts=("E", "DC", *PIN_CONSTANTS)
+        ),
+        NetworkSpec(
+            DISENTANGLED,
+            "unshears",
+            "pairs",
+            "disentangled",
+            released_parts=("E", "pose", "DC", *PIN_CONSTANTS),
+        ),
+        NetworkSpec(POSENET, "reads poses", "taps", released_parts=()),
+        NetworkSpec(
+            ENTANGLED_LARGE, "unshears", "pairs", "entangled, as many parameters", IMAGES_ALONE
+        ),
+        NetworkSpec(UNET, "unshears", "pairs", "U-Net", IMAGES_ALONE),
+        NetworkSpec(POSENET_SHEARED, "reads poses", "slides", released_parts=()),
+    )
+}
+TRAINABLE = REGISTRY.keys()  # with those that are registered later
+NETWORKS: tuple[str, ...] = (ENTANGLED, DISENTANGLED, POSENET)  # the paper's
+ALL_NETWORKS: tuple[str, ...] = (*NETWORKS, ENTANGLED_LARGE, UNET, POSENET_SHEARED)  # with rivals
+# with those that are registered later; the main network of a run is the last of these that it has
+UNSHEARING = [ENTANGLED, ENTANGLED_LARGE, UNET, DISENTANGLED]
+POSENETS = tuple(name for name, spec in REGISTRY.items() if spec.role == "reads poses")
+
+
+def add_network(spec: NetworkSpec) -> None:
+    """Add a network that unshears. Raises UserError if another one has its name."""
+    registered = REGISTRY.get(spec.name)
+    if registered is None:
+        UNSHEARING.insert(0, spec.name)
+    elif registered.file != spec.file:  # else the file is read twice
+        raise UserError(f"network '{spec.name}' is there already: choose another name")
+    REGISTRY[spec.name] = spec
+
+
+def list_networks() -> tuple[str, ...]:
+    """List the networks that an experiment can name, with registered ones."""
+    return tuple(name for name in REGISTRY if name not in (RENDERER, TEACHER))
+
+
+def list_modality_networks(modality: InputKind) -> list[str]:
+    """List the networks that may read inputs of a modality."""
+    return [name for name in list_networks() if modality in REGISTRY[name].modalities]

@@ -1,4 +1,4 @@
-"""What an experiment can ask for: the rules of each of its settings, then those between them.
+"""What an experiment can ask for: problems of each of its settings, then those between them.
 
 Nothing is simulated or trained, so a refusal takes no time.
 """
@@ -6,25 +6,24 @@ Nothing is simulated or trained, so a refusal takes no time.
 from collections.abc import Callable, Iterator
 from dataclasses import fields
 
-from jaxunshear.config.data import PairedData, Recorded, SourceSettings
-from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.data import PairedData, PoseData, Recorded, RecordedTaps
+from jaxunshear.config.experiment import FURTHER_TESTS, Experiment, uses_pins
 from jaxunshear.config.fields import format_value, replace_field
 from jaxunshear.config.losses import EXCHANGE, InputKind, Requirement, Role, get_loss
-from jaxunshear.config.network_config import (
-    list_trained_networks,
-    resolve_trained_networks,
+from jaxunshear.config.network_config import list_trained_networks, resolve_trained_networks
+from jaxunshear.config.networks import POSENET_SHEARED, RENDERER, TEACHER, list_modality_networks
+from jaxunshear.config.rules_simulated import find_simulated_problems
+from jaxunshear.config.sensor import TACTIP_331_FITTED
+from jaxunshear.config.targets import (
+    LABELLED_SLIDES,
+    RECORDED_FIELDS,
+    list_slide_names,
+    list_text_problems,
 )
-from jaxunshear.config.registry import RENDERER, TEACHER, list_modality_networks
-from jaxunshear.config.rules_recorded import list_recorded_rules
-from jaxunshear.config.rules_simulated import list_simulated_rules
-from jaxunshear.config.types import Rule, Value, check_types, get_value, list_declared_rules
+from jaxunshear.config.types import Problem, check_types, find_problems, get_value
 from jaxunshear.errors import UserError
 
-# rules of the settings of a data source; those of other sources are their own alone
-SOURCE_RULES: dict[type[SourceSettings], Callable[[Experiment, Value, Value], Iterator[Rule]]] = {
-    PairedData: list_simulated_rules,
-    Recorded: list_recorded_rules,
-}
+UNKNOWN = 2**62  # examples, of data that are counted when they are read
 # fields that only some networks use: a value that changes none of them is refused
 PARTLY_USED = (
     *("pins.turned", "pins.direct_convolved", "paired.direct_taps", "train.paired_share"),
@@ -36,123 +35,150 @@ PARTLY_USED = (
 def validate(experiment: Experiment) -> None:
     """Refuse, by dotted name and with a remedy, settings that no run could work with."""
     check_types(experiment)
-    for rule in list_rules(experiment):
-        if not rule.holds:
-            value = format_value(get_value(experiment, rule.field))
-            raise UserError(f"--{rule.field} {value}: {rule.remedy}")
+    for field, remedy in find_experiment_problems(experiment):
+        value = format_value(get_value(experiment, field))
+        raise UserError(f"--{field} {value}: {remedy}")
 
 
-def list_rules(experiment: Experiment) -> Iterator[Rule]:
-    """Yield all rules for `experiment`; the first that does not hold is the one to report."""
-    yield from list_declared_rules(experiment)
+def find_experiment_problems(experiment: Experiment) -> Iterator[Problem]:
+    """Find all problems of `experiment`; the first is the one to report."""
+    yield from find_problems(experiment)
     paired, pose = experiment.paired, experiment.pose
-    yield Rule(
-        type(pose) is paired.pose_kind,
-        "name",
-        f"paired is {type(paired).__name__}, which takes pose={paired.pose_kind.__name__}()",
-    )
-    if source_rules := SOURCE_RULES.get(type(paired)):
-        yield from source_rules(experiment, paired, pose)
-    size, unshear, posenet = paired.preprocess.size, experiment.unshear, experiment.posenet
-    for field, net_size in (("unshear.size", unshear.size), ("posenet.size", posenet.size)):
-        yield Rule(
-            net_size == size,
-            field,
-            "differs from the data set's images: "
-            f"make it and paired.preprocess.size ({size}) equal",
-        )
-    yield Rule(
-        unshear.disentangled,
-        "unshear.disentangled",
-        "both networks are trained from these settings: "
-        "to train one of them use `--networks entangled`",
-    )
+    pose_kind = PoseData if isinstance(paired, PairedData) else RecordedTaps
+    if type(pose) is not pose_kind:
+        remedy = f"paired is {type(paired).__name__}, which takes pose={pose_kind.__name__}()"
+        yield Problem("name", remedy)
+    # a source that an experiment file adds has no problems but its own
+    if type(paired) is PairedData and isinstance(pose, PoseData):
+        yield from find_simulated_problems(experiment, paired, pose)
+    if type(paired) is Recorded:
+        yield from _find_recorded_problems(experiment, paired)
+    size, unshear = paired.preprocess.size, experiment.unshear
+    for group in ("unshear", "posenet"):
+        if getattr(experiment, group).size != size:
+            remedy = f"make it and paired.preprocess.size ({size}) equal"
+            yield Problem(f"{group}.size", f"differs from the data set's images: {remedy}")
+    if not unshear.disentangled:
+        remedy = "it is a setting of both networks: to train one use `--networks entangled`"
+        yield Problem("unshear.disentangled", remedy)
     possible = list_modality_networks(unshear.input)
-    others = ", ".join(name for name in experiment.networks if name not in possible)
-    yield Rule(
-        not others,
-        "networks",
-        f"{others} does not read {unshear.input}: use {', '.join(possible)}",
-    )
-    yield from _list_training_rules(experiment)
-    yield from _list_effect_rules(experiment)
+    if others := ", ".join(name for name in experiment.networks if name not in possible):
+        remedy = f"use {', '.join(possible)}"
+        yield Problem("networks", f"{others} does not read {unshear.input}: {remedy}")
+    yield from _find_training_problems(experiment)
+    yield from _find_unused_fields(experiment)
 
 
-def _list_training_rules(experiment: Experiment) -> Iterator[Rule]:
-    pins, trained = experiment.unshear.input == "pins", list_trained_networks(experiment)
-    pairs, taps = experiment.paired.count_examples(experiment.pose)
-    yield Rule(
-        experiment.train.crop_px <= experiment.unshear.size,
-        "train.crop_px",
-        f"must be 1 to the image's {experiment.unshear.size} px",
-    )
-    yield Rule(
-        not experiment.train_teacher.start,
-        "train_teacher.start",
-        "leave it empty: the PoseNet that scores a network must not supervise it",
-    )
-    yield from _list_group_rules(experiment, "train", "unshears", pairs)
+def _find_recorded_problems(experiment: Experiment, recorded: Recorded) -> Iterator[Problem]:
+    """Find problems of an experiment about recordings, before these are read."""
+    pins, sensor_pins = experiment.pins, experiment.sensor.pins
+    if recorded.pairing == "simulated" and sensor_pins != TACTIP_331_FITTED.pins:
+        yield Problem(
+            "paired.pairing",
+            f"simulated follows the one sensor that is fitted, of {TACTIP_331_FITTED.pins} pins; "
+            f"yours has {sensor_pins}",
+        )
+    if recorded.direct_taps == "rendered" and not uses_pins(experiment):
+        remedy = "rendered is for networks over pins: use recorded"
+        yield Problem("paired.direct_taps", remedy)
+    if pins.turned and pins.direct_convolved:
+        remedy = "takes recorded pins as they are: leave pins.turned at 0"
+        yield Problem("pins.direct_convolved", remedy)
+    if experiment.train_pins.paired_share != 1:
+        remedy = "is for simulated pairs: use paired.labelled"
+        yield Problem("train_pins.paired_share", remedy)
+    for field in ("unseen", *FURTHER_TESTS):
+        if getattr(experiment, field):
+            yield Problem(field, "is a test of simulated touches: leave it empty")
+    for problem in list_text_problems(experiment.targets, RECORDED_FIELDS | LABELLED_SLIDES):
+        yield Problem("targets", problem)
+    if slides := ", ".join(list_slide_names(experiment.targets)):
+        yield from _find_slide_target_problems(experiment, recorded, slides)
+
+
+def _find_slide_target_problems(
+    experiment: Experiment, recorded: Recorded, slides: str
+) -> Iterator[Problem]:
+    """Find what does not go with targets that are recorded slides."""
+    if recorded.direct_taps == "rendered":
+        yield Problem("paired.direct_taps", f"rendered knows no {slides}: use recorded or none")
+    if set(list_trained_networks(experiment)) != {POSENET_SHEARED}:
+        remedy = f"a tap has no {slides}: name --networks posenet_sheared alone"
+        yield Problem("targets", remedy)
+    if experiment.pins.turned:
+        yield Problem("pins.turned", f"does not turn {slides}: leave it at 0")
+
+
+def _find_training_problems(experiment: Experiment) -> Iterator[Problem]:
+    pins, trained = uses_pins(experiment), list_trained_networks(experiment)
+    pairs, taps, paired, pose = UNKNOWN, UNKNOWN, experiment.paired, experiment.pose
+    if isinstance(paired, PairedData) and isinstance(pose, PoseData):
+        pairs, taps = paired.slides * paired.count_training_poses(), pose.count_training_poses()
+    if experiment.train.crop_px > experiment.unshear.size:
+        yield Problem("train.crop_px", f"must be 1 to the image's {experiment.unshear.size} px")
+    if experiment.train_teacher.start:
+        remedy = "leave it empty: the PoseNet that scores a network must not supervise it"
+        yield Problem("train_teacher.start", remedy)
+    yield from _find_group_problems(experiment, "train", "unshears", pairs)
     for group, apart, code in (
         ("train", "unshear.apart", experiment.unshear.shear_channels),
         ("train_pins", "pins.apart", experiment.pins.shear_code),
     ):
-        yield Rule(
-            not get_value(experiment, apart)
-            or ("slide" in getattr(experiment, group).losses and code > 0),
-            apart,
-            f"leaves z_s to learn from the slide alone: raise {group}.losses.slide, "
-            "and the size of the shear code",
-        )
-    yield from _list_group_rules(experiment, "train_posenet", "reads poses", taps)
+        learns_slide = "slide" in getattr(experiment, group).losses and code > 0
+        if get_value(experiment, apart) and not learns_slide:
+            remedy = f"raise {group}.losses.slide, and the size of the shear code"
+            yield Problem(apart, f"leaves z_s to learn from the slide alone: {remedy}")
+    yield from _find_group_problems(experiment, "train_posenet", "reads poses", taps)
     if TEACHER in trained and not pins:
-        yield from _list_group_rules(experiment, "train_teacher", "reads poses", taps)
+        yield from _find_group_problems(experiment, "train_teacher", "reads poses", taps)
     if pins or RENDERER in trained:
-        yield from _list_group_rules(experiment, "train_pins", "unshears", min(pairs, taps))
-    few = experiment.train_pins.paired_share < 1
-    yield Rule(
-        not few or set(EXCHANGE).isdisjoint(experiment.train_pins.losses),
-        "train_pins.paired_share",
-        f"leaves slides without their partners: leave it at 1, or {' and '.join(EXCHANGE)} out",
-    )
+        yield from _find_group_problems(experiment, "train_pins", "unshears", min(pairs, taps))
+    train_pins = experiment.train_pins
+    if train_pins.paired_share < 1 and not set(EXCHANGE).isdisjoint(train_pins.losses):
+        remedy = f"leave it at 1, or {' and '.join(EXCHANGE)} out"
+        yield Problem("train_pins.paired_share", f"leaves slides without their partners: {remedy}")
 
 
-def _list_group_rules(
+def _find_group_problems(
     experiment: Experiment, group: str, role: Role, examples: int
-) -> Iterator[Rule]:
-    """Yield the rules that a batch has enough examples, and that losses have what they need."""
+) -> Iterator[Problem]:
+    """Find batches of more than all examples, and losses that lack what they need."""
     training = getattr(experiment, group)
-    yield Rule(
-        training.batch <= examples,
-        f"{group}.batch",
-        f"is larger than the training set of {examples}: use a smaller batch or more poses",
-    )
+    if training.batch > examples:
+        remedy = "use a smaller batch or more poses"
+        yield Problem(f"{group}.batch", f"is larger than the training set of {examples}: {remedy}")
     modality: InputKind = "pins" if group == "train_pins" else "images"
     for name in training.losses:
         field = f"{group}.losses.{name}"
         try:
             spec = get_loss(name)
         except UserError as error:
-            yield Rule(False, field, str(error))
+            yield Problem(field, str(error))
             continue
-        yield Rule(spec.role == role, field, f"is for a network that {spec.role}: leave it out")
-        yield Rule(
-            modality in spec.modalities,
-            field,
-            f"is for networks over {' and '.join(spec.modalities)}: leave it out",
-        )
+        if spec.role != role:
+            yield Problem(field, f"is for a network that {spec.role}: leave it out")
+        if modality not in spec.modalities:
+            kinds = " and ".join(spec.modalities)
+            yield Problem(field, f"is for networks over {kinds}: leave it out")
         for requirement in spec.requires:
-            check, remedy = REQUIREMENTS[requirement]
-            yield Rule(check(experiment, modality), field, remedy)
+            holds, remedy = REQUIREMENTS[requirement]
+            if not holds(experiment, modality):
+                yield Problem(field, remedy)
 
 
 def _has_codes(experiment: Experiment, modality: InputKind) -> bool:
     if modality == "pins":
         return experiment.pins.shear_code > 0 and not experiment.pins.turned
-    return experiment.unshear.apart and experiment.unshear.input == "images"
+    return experiment.unshear.apart and not uses_pins(experiment)
 
 
-def _get_slides(experiment: Experiment) -> int:
-    return getattr(experiment.paired, "slides", 0)
+def _has_two_slides(experiment: Experiment, _: InputKind) -> bool:
+    return getattr(experiment.paired, "slides", 0) > 1
+
+
+def _shares_slides(experiment: Experiment, modality: InputKind) -> bool:
+    shares = getattr(experiment.paired, "poses_a_slide", 0) > 1
+    return shares and _has_two_slides(experiment, modality)
 
 
 # what a loss can require: whether an experiment has it, and what to do if not
@@ -163,16 +189,11 @@ REQUIREMENTS: dict[Requirement, tuple[Callable[[Experiment, InputKind], bool], s
         "over pins raise pins.shear_code, and leave pins.turned at 0",
     ),
     "shared slides": (
-        lambda experiment, _: (
-            _get_slides(experiment) > 1 and getattr(experiment.paired, "poses_a_slide", 0) > 1
-        ),
+        _shares_slides,
         "takes simulated slides that poses share, two at least: "
         "raise paired.poses_a_slide and paired.slides",
     ),
-    "two slides": (
-        lambda experiment, _: _get_slides(experiment) > 1,
-        "takes two slides to a pose: raise paired.slides",
-    ),
+    "two slides": (_has_two_slides, "takes two slides to a pose: raise paired.slides"),
     "simulated": (
         lambda experiment, _: experiment.paired.is_simulated,
         "takes simulated contacts: leave it out",
@@ -184,20 +205,18 @@ REQUIREMENTS: dict[Requirement, tuple[Callable[[Experiment, InputKind], bool], s
 }
 
 
-def _list_effect_rules(experiment: Experiment) -> Iterator[Rule]:
-    """Yield the rules that fields which few networks use have an effect on a trained one."""
+def _find_unused_fields(experiment: Experiment) -> Iterator[Problem]:
+    """Find fields of PARTLY_USED that were changed, and that no trained network uses."""
     configs = resolve_trained_networks(experiment)
     for field in PARTLY_USED:
         group, _, name = field.partition(".")
         settings = getattr(experiment, group)
-        if not hasattr(settings, name):
+        defaults = {each.name: each.default for each in fields(settings)}
+        if getattr(settings, name, None) == defaults.get(name):
             continue
-        default = next(each.default for each in fields(settings) if each.name == name)
-        if getattr(settings, name) != default:
-            plain = replace_field(experiment, field, default)
-            yield Rule(
-                resolve_trained_networks(plain) != configs,
-                field,
-                "changes none of the networks that this experiment trains: "
-                f"leave it at {format_value(default)}",
+        plain = replace_field(experiment, field, defaults[name])
+        if resolve_trained_networks(plain) == configs:
+            remedy = f"leave it at {format_value(defaults[name])}"
+            yield Problem(
+                field, f"changes none of the networks that this experiment trains: {remedy}"
             )

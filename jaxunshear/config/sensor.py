@@ -1,4 +1,4 @@
-"""The soft optical tactile sensor: a gel dome under a skin, and a camera that sees its pins.
+"""The soft optical tactile sensor: a gel dome under a skin, and the camera that sees its pins.
 
 Sensor frame: origin at the apex of the undeformed dome, z from the apex towards the camera, x and y
 lateral; mm.
@@ -17,7 +17,16 @@ from typing import Annotated
 
 import numpy as np
 
-from jaxunshear.config.types import Bound, NotNegative, Positive, Rule, between, check_rules
+from jaxunshear.config.types import (
+    Bound,
+    Fraction,
+    NotNegative,
+    Positive,
+    Problem,
+    Share,
+    between,
+    check_rules,
+)
 from jaxunshear.errors import UserError
 
 Poisson = Annotated[
@@ -69,37 +78,29 @@ class Sensor:
             raise UserError(f"sensor '{self.name}': layout '{self.layout}' {_explain_layouts()}")
         return np.asarray(LAYOUTS[self.layout](self), float)
 
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(self.layout in LAYOUTS, "layout", _explain_layouts())
+    def find_problems(self) -> Iterator[Problem]:
+        if self.layout not in LAYOUTS:
+            yield Problem("layout", _explain_layouts())
         for name, value in vars(self).items():
-            yield Rule(not isinstance(value, float) or math.isfinite(value), name, "must be finite")
-        yield Rule(
-            2 * self.pin_radius_mm < self.pin_spacing_mm,
-            "pin_radius_mm",
-            f"pins {self.pin_spacing_mm:g} mm apart would overlap: use less than half of that",
-        )
-        yield Rule(
-            self.skin_mm + self.pin_length_mm < self.dome_radius_mm,
-            "dome_radius_mm",
-            "must exceed skin_mm + pin_length_mm",
-        )
-        yield from self._list_place_rules()
-
-    def _list_place_rules(self) -> Iterator[Rule]:
+            if isinstance(value, float) and not math.isfinite(value):
+                yield Problem(name, "must be finite")
+        spacing = self.pin_spacing_mm
+        if 2 * self.pin_radius_mm >= spacing:
+            remedy = f"pins {spacing:g} mm apart would overlap: use less than half of that"
+            yield Problem("pin_radius_mm", remedy)
+        if self.skin_mm + self.pin_length_mm >= self.dome_radius_mm:
+            yield Problem("dome_radius_mm", "must exceed skin_mm + pin_length_mm")
         places = self.place_pins()
         is_sound = places.ndim == 2 and places.shape[1:] == (2,) and np.isfinite(places).all()
-        yield Rule(
-            bool(is_sound and len(places)),
-            "layout",
-            f"must place pins at finite (P, 2) mm, not {places.shape}",
-        )
+        if not (is_sound and len(places)):
+            yield Problem("layout", f"must place pins at finite (P, 2) mm, not {places.shape}")
         rim, reach = self.dome_radius_mm * math.pi / 2, np.linalg.norm(places, axis=-1).max()
-        yield Rule(
-            bool(reach < rim),
-            "rings" if self.has_rings else "layout",
-            f"pins {reach:.1f} mm from the apex go past the dome's rim at {rim:.1f} mm: "
-            "use fewer or closer ones",
-        )
+        if reach >= rim:
+            yield Problem(
+                "rings" if self.has_rings else "layout",
+                f"pins {reach:.1f} mm from the apex go past the dome's rim at {rim:.1f} mm: "
+                "use fewer or closer ones",
+            )
 
 
 LayoutFunction = Callable[[Sensor], object]
@@ -196,3 +197,139 @@ def get_sensor(name: str) -> Sensor:
 def check_sensor(sensor: Sensor) -> None:
     """Raise UserError, naming the field, for the first value that no sensor can have."""
     check_rules(sensor, f"sensor '{sensor.name}'")
+
+
+Pixels = Annotated[int, between(16, 4096)]
+Housing = Annotated[
+    float,
+    Bound(lambda ratio: ratio >= 1, "use 1 or more: the housing lies outside the outermost pins"),
+]
+Offset = Annotated[
+    float,
+    Bound(lambda offset: -1 < offset < 1, "use a fraction of full scale between -1 and 1"),
+]
+OuterPins = Annotated[
+    float,
+    Bound(lambda share: 0 < share <= 0.5, "use a fraction of the image above 0, at most 0.5"),
+]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole on the dome's axis that sees the pins from inside, and its square grey frame.
+
+    Both lengths are fitted to real 331-pin images: the outermost pins are at 0.375 of the width
+    from the centre, and rings get closer together towards the rim (outermost gap 0.083 of that
+    radius; in real images 0.08 to 0.09). A real camera is near and has a wide lens, which does
+    this; a far pinhole does the same without a model of the lens.
+    """
+
+    frame_px: Pixels = 256  # side of the frame
+    mm_across: Positive = 33.5  # that the frame shows, at the height of the undeformed apex pin
+    distance_mm: float = 200.0  # from the undeformed apex up to the pinhole
+    # radius of the dark disc within the lit housing over that of the outermost pins, in raw frames
+    housing: Housing = 1.22
+
+
+# shows the wider outer ring of TACTIP_331_FLUSH at the same place in the frame
+FLUSH_CAMERA = Camera(mm_across=35.3)
+# fitted to the same contacts as TACTIP_331_FITTED
+FITTED_CAMERA = Camera(mm_across=50.72, distance_mm=66.43, housing=1.262)
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What a real frame shows beside its pins; zero switches a term off.
+
+    Grey levels are fractions of full scale.
+    """
+
+    housing_ring: bool = True  # the lit housing around the dome
+    specks: Annotated[int, between(0, 1000)] = 6  # mean number in a frame
+    blur_px: float = 0.6  # standard deviation, frame pixels
+    noise: Fraction = 0.02  # standard deviation of each pixel
+    brightness: Fraction = 0.15  # largest relative change of the pins' brightness
+    drift_px: float = 0.0  # largest slow shift of the entire view over a set, frame pixels
+    drift_brightness: Fraction = 0.0  # relative loss of brightness over a set: wear
+
+
+@dataclass(frozen=True)
+class Preprocess:
+    """How a simulated or a real frame becomes a binary image.
+
+    The steps are: grey, crop, resize by area, threshold against a local mean, circular mask.
+    """
+
+    size: Pixels = 128  # output pixels, square
+    block: Share = 0.15  # side of the local mean's window, as a fraction of `size` (made odd)
+    # a pixel is white if it exceeds the local mean by this fraction of full scale
+    offset: Offset = 0.08
+    mask_radius: Share = 0.48  # of the circular mask, as a fraction of `size`
+    # automatic crop: distance of the outermost pins from the centre over `size`, as in `Camera`
+    outer_pins: OuterPins = 0.375
+
+
+# A contact is solved at points on rings, evenly spaced along the dome's surface from the apex.
+RING_MM = 1.0  # spacing along the surface
+COVERED_ANGLE_DEG = 60.0
+# A node can touch if the undeformed dome there lies below this share of the depth, because the skin
+# yields before the rest arrives. With it, one of 128 slides over all shapes had to be solved again,
+# and pins differ from those with many more nodes by 0.04 px rms.
+REACHED_SHARE = 0.7
+# rings beside the apex: larger domes get wider spacing, small ones narrower
+MIN_RINGS, MAX_RINGS = 8, 21
+
+
+@dataclass(frozen=True)
+class RingSpacedSensor(Sensor):
+    """A sensor whose contact rings have a spacing that does not follow from its size."""
+
+    ring_mm: float = RING_MM
+
+
+def set_ring_spacing(sensor: Sensor, ring_mm: float) -> Sensor:
+    """Return the sensor with rings of this spacing, which its name then says."""
+    if ring_mm == compute_ring_spacing(sensor):
+        return sensor
+    return RingSpacedSensor(
+        **asdict(sensor) | {"name": f"{sensor.name}-{ring_mm:g}mm"}, ring_mm=ring_mm
+    )
+
+
+def compute_ring_spacing(sensor: Sensor) -> float:
+    """Compute the arc between neighbouring rings in mm."""
+    covered = sensor.dome_radius_mm * math.radians(COVERED_ANGLE_DEG)
+    usual = max(RING_MM, covered / MAX_RINGS)
+    spacing = sensor.ring_mm if isinstance(sensor, RingSpacedSensor) else usual
+    return min(spacing, covered / MIN_RINGS)
+
+
+def compute_ring_arcs(sensor: Sensor) -> np.ndarray:
+    """Compute the arc from the apex to each ring in mm, (rings,); the apex is the first."""
+    spacing = compute_ring_spacing(sensor)
+    last = round(sensor.dome_radius_mm * math.radians(COVERED_ANGLE_DEG) / spacing)
+    return spacing * np.arange(last + 1)
+
+
+def compute_contact_angle(sensor: Sensor) -> float:
+    """Compute the angle from the apex to the last ring in degrees."""
+    return math.degrees(float(compute_ring_arcs(sensor)[-1]) / sensor.dome_radius_mm)
+
+
+def compute_max_depth_mm(sensor: Sensor, tilt_deg: float = 0.0) -> float:
+    """Compute the depth at which the tilted undeformed sphere would touch at its last ring."""
+    covered = max(compute_contact_angle(sensor) - abs(tilt_deg), 0.0)
+    return sensor.dome_radius_mm * (1 - math.cos(math.radians(covered)))
+
+
+def compute_max_contact_depth_mm(sensor: Sensor, tilt_deg: float = 0.0) -> float:
+    """Compute the depth of the deepest contact that is simulated.
+
+    The skin yields, so tilted contacts may go deeper than the undeformed sphere could.
+    """
+    return min(compute_max_depth_mm(sensor), compute_max_depth_mm(sensor, tilt_deg) / REACHED_SHARE)
+
+
+def compute_reach_mm(sensor: Sensor, depth_mm: float) -> float:
+    """Compute how far from its axis the undeformed dome still lies below `depth_mm`."""
+    return math.sqrt(max(2 * sensor.dome_radius_mm * depth_mm - depth_mm**2, 0.0))

@@ -1,10 +1,18 @@
-"""Settings as JSON, and back."""
+"""Settings as JSON, and back: of experiments, finished runs, released weights and calibrations.
+
+>>> experiment = load_settings(find_model_folder(Path("standard")))
+>>> experiment = apply_preset(experiment, Path("calibration/calibration.json"))
+"""
 
 import dataclasses
 import typing
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
 
+from jaxunshear.config.data import PoseData
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.sensor import Camera, Sensor
 from jaxunshear.config.types import (
     Hint,
     describe_hint,
@@ -14,7 +22,7 @@ from jaxunshear.config.types import (
     list_hints,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.files import Json
+from jaxunshear.files import Json, read_json, read_object
 from jaxunshear.version import __version__
 
 VERSION = "version"  # of the package that wrote the settings beside it
@@ -107,3 +115,64 @@ def _list_misfits(data: Json, fields: dict[str, Hint], prefix: str) -> list[str]
 
 def _convert_to_tuples(data: object) -> object:
     return tuple(_convert_to_tuples(item) for item in data) if isinstance(data, list) else data
+
+
+RELEASED = Path(__file__).parents[1] / "weights"  # a folder for each name, with a model card
+
+
+def find_model_folder(model: Path) -> Path:
+    """Return the folder of the released weights of this name; any other path as it is."""
+    is_name = len(model.parts) == 1 and not model.exists()
+    released = RELEASED / model
+    return released if is_name and (released / "experiment.json").is_file() else model
+
+
+def load_settings(model: Path) -> Experiment:
+    """Load the experiment that a folder was made with. Raises UserError."""
+    file = model / "experiment.json"
+    if not file.is_file():
+        names = ", ".join(sorted(folder.name for folder in RELEASED.glob("*") if folder.is_dir()))
+        raise UserError(
+            f"{model} holds no experiment.json: name the folder of a finished run, "
+            f"such as runs/demo, or released weights{f' ({names})' if names else ''}"
+        )
+    return from_json(read_object(file), str(file))
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What a calibration fits."""
+
+    sensor: Sensor
+    camera: Camera
+    friction: float
+
+
+def read_preset(file: Path) -> Preset:
+    """Read the field `preset` of a calibration.json. Raises UserError."""
+    remedy = "name a calibration.json of `jaxunshear calibrate`"
+    if not file.is_file():
+        raise UserError(f"--sensor-from {file} is no file: {remedy}")
+    stored = read_json(file)
+    if not isinstance(stored, dict) or "preset" not in stored:
+        raise UserError(f"--sensor-from {file} holds no preset: {remedy}")
+    return build_value(stored["preset"], Preset, f"--sensor-from {file}", "preset")
+
+
+def apply_preset(experiment: Experiment, file: Path) -> Experiment:
+    """Set the sensor, camera and friction that are in `file`; frames keep their number of pixels.
+
+    Raises UserError.
+    """
+    paired = experiment.paired.get_simulated("--sensor-from")
+    pose = cast(PoseData, experiment.pose)
+    preset = read_preset(file)
+    camera = replace(preset.camera, frame_px=paired.camera.frame_px)
+    return replace(
+        experiment,
+        sensor=preset.sensor,
+        paired=replace(paired, camera=camera, friction=preset.friction),
+        pose=replace(
+            pose, camera=replace(camera, frame_px=pose.camera.frame_px), friction=preset.friction
+        ),
+    )

@@ -10,7 +10,7 @@ import re
 import typing
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -42,17 +42,10 @@ Points = tuple[tuple[float, float], ...]
 Target = tuple[float, float, float]
 
 
-class _Numbers(NamedTuple):
-    """What a field of an outline holds: rows of `width` numbers."""
-
-    width: int
-    description: str
-
-
-_FIELDS = {
-    "points": _Numbers(2, "pairs x, y in mm"),
-    "target": _Numbers(3, "x and y in mm and degrees"),
-    "friction": _Numbers(1, "a number"),
+_FIELDS = {  # of an outline: what a row of its numbers is
+    "points": ("pairs x, y in mm", 2),
+    "target": ("x, y in mm and degrees", 3),
+    "friction": ("a number", 1),
 }
 
 
@@ -101,12 +94,12 @@ class Outline:
 
     def _to_numbers(self, field: str, rows: Iterable[Iterable[float]]) -> tuple:
         """Convert rows to tuples of finite floats. Raises UserError."""
-        width, description = _FIELDS[field]
+        description, width = _FIELDS[field]
         complaint = f"outline '{self.name}': its {field} must be"
         try:
             numbers = tuple(tuple(map(float, row)) for row in rows)
         except (TypeError, ValueError):
-            raise UserError(f"{complaint} {description}") from None
+            numbers = ((),)
         if any(len(row) != width for row in numbers):
             raise UserError(f"{complaint} {description}")
         if not all(np.isfinite(row).all() for row in numbers):

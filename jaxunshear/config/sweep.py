@@ -7,6 +7,7 @@
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from jaxunshear.config.data import MAX_SEED
@@ -14,12 +15,24 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import override_fields, parse_overrides, replace_field
 from jaxunshear.config.load import load_variable
 from jaxunshear.config.rules import validate
-from jaxunshear.config.types import Rule, Value, check_types
+from jaxunshear.config.types import Problem, Value, check_types, is_of_type, list_hints
 from jaxunshear.errors import UserError
 
 Fields = str | tuple[str, ...]  # a dotted name, or several of fields that vary together
 Axis = tuple[Fields, tuple[Value, ...]]
 Change = tuple[Fields, Value]
+FORMS = {  # what is said of fields of another type
+    "name": "is no text",
+    "claim": "is no text",
+    "base": "is no Experiment",
+    "grid": 'is no tuple of axes ("field", (value, value)) '
+    'or (("field", "field"), ((value, value), (value, value)))',
+    "rows": 'is no tuple of rows (("field", value), ("field", value))',
+    "labels": "is no tuple of texts",
+    "seeds": f"(or --seeds) is no tuple of integers from 0 to {MAX_SEED}",
+    "ablation": "is neither True nor False",
+    "reference": "is no text",
+}
 
 
 @dataclass(frozen=True)
@@ -122,94 +135,54 @@ def check_sweep(sweep: Sweep, source: str) -> None:
 
 
 def _check_form(sweep: Sweep, source: str) -> None:
-    for rule in _list_form_rules(sweep):
-        if not rule.holds:
-            raise UserError(f"{source}: sweep.{rule.field} {rule.remedy}")
+    problems = chain(_find_type_problems(sweep), _find_axis_problems(sweep), _find_doubles(sweep))
+    for field, remedy in problems:
+        raise UserError(f"{source}: sweep.{field} {remedy}")
 
 
-def _list_form_rules(sweep: Sweep) -> Iterator[Rule]:
-    for field, value in (
-        ("name", sweep.name),
-        ("claim", sweep.claim),
-        ("reference", "" if sweep.reference is None else sweep.reference),
-    ):
-        yield Rule(isinstance(value, str), field, "is no text")
-    kind = type(sweep.base).__name__
-    yield Rule(isinstance(sweep.base, Experiment), "base", f"is of type {kind}, not Experiment")
-    yield Rule(isinstance(sweep.ablation, bool), "ablation", "is neither True nor False")
-    yield Rule(
-        _are_axes(sweep.grid),
-        "grid",
-        'is no tuple of axes ("field", (value, value)) '
-        'or (("field", "field"), ((value, value), (value, value)))',
-    )
-    yield Rule(
-        isinstance(sweep.rows, tuple) and all(map(_are_axes, sweep.rows)),
-        "rows",
-        'is no tuple of rows (("field", value), ("field", value))',
-    )
+def _find_type_problems(sweep: Sweep) -> Iterator[Problem]:
+    hints = list_hints(Sweep)
+    for field, remedy in FORMS.items():
+        if not is_of_type(getattr(sweep, field), hints[field]):
+            yield Problem(field, remedy)
+    if not all(sweep.labels):
+        yield Problem("labels", FORMS["labels"])
+    if not sweep.seeds or not all(0 <= seed <= MAX_SEED for seed in sweep.seeds):
+        yield Problem("seeds", FORMS["seeds"])
+
+
+def _find_axis_problems(sweep: Sweep) -> Iterator[Problem]:
+    changes = []
     for fields, values in sweep.grid:
-        has_values = isinstance(values, tuple) and len(values) > 0
-        yield Rule(has_values, "grid", f"lists no values for {fields}: give a tuple of some")
-        for value in values:
-            yield _make_value_rule("grid", fields, value)
+        if not fields:
+            yield Problem("grid", FORMS["grid"])
+        if not values:
+            yield Problem("grid", f"lists no values for {fields}: give a tuple of some")
+        changes += [("grid", fields, value) for value in values]
     for row in sweep.rows:
-        for fields, value in row:
-            yield _make_value_rule("rows", fields, value)
-    yield from _list_field_rules(sweep)
-    yield from _list_label_rules(sweep)
-    seeds = sweep.seeds
-    yield Rule(
-        isinstance(seeds, tuple) and len(seeds) > 0 and all(map(_is_seed, seeds)),
-        "seeds",
-        f"(or --seeds) is no tuple of integers from 0 to {MAX_SEED}",
-    )
-    yield Rule(len(set(seeds)) == len(seeds), "seeds", "(or --seeds) lists a seed twice")
+        changes += [("rows", fields, value) for fields, value in row]
+    for place, fields, value in changes:
+        has_each = isinstance(value, tuple) and len(value) == len(fields)
+        if not (isinstance(fields, str) or has_each):
+            yield Problem(place, f"needs tuples of a value each for {fields}")
 
 
-def _list_label_rules(sweep: Sweep) -> Iterator[Rule]:
-    labels, rows = sweep.labels, len(sweep.rows)
-    yield Rule(
-        isinstance(labels, tuple) and all(isinstance(label, str) and label for label in labels),
-        "labels",
-        "is no tuple of texts",
-    )
-    yield Rule(
-        len(labels) in (0, rows), "labels", f"needs one for each of the {rows} rows, or none"
-    )
-    yield Rule(len(set(labels)) == len(labels), "labels", "lists one twice")
-
-
-def _list_field_rules(sweep: Sweep) -> Iterator[Rule]:
+def _find_doubles(sweep: Sweep) -> Iterator[Problem]:
+    """Find what is listed twice, and fields that no axis or row may change."""
     varied = list_varied_fields(sweep)
     repeated = next((field for field in varied if varied.count(field) > 1), None)
-    yield Rule(repeated is None, "grid", f"varies {repeated} on two axes")
+    if repeated is not None:
+        yield Problem("grid", f"varies {repeated} on two axes")
     for place, fields in (("grid", varied), ("rows", list_changed_fields(sweep))):
-        yield Rule(
-            "seed" not in fields,
-            place,
-            "varies seed: list the seeds in sweep.seeds, or with --seeds",
-        )
+        if "seed" in fields:
+            remedy = "list the seeds in sweep.seeds, or with --seeds"
+            yield Problem(place, f"varies seed: {remedy}")
         for field in ("name", "claim"):
-            yield Rule(field not in fields, place, f"varies {field}, which decides nothing")
-
-
-def _make_value_rule(place: str, fields: Fields, value: Value) -> Rule:
-    is_single = isinstance(fields, str)
-    has_each = is_single or (isinstance(value, tuple) and len(value) == len(fields))
-    return Rule(has_each, place, f"needs tuples of a value each for {fields}")
-
-
-def _is_seed(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MAX_SEED
-
-
-def _are_axes(axes: object) -> bool:
-    return isinstance(axes, tuple) and all(
-        isinstance(pair, tuple) and len(pair) == 2 and _are_fields(pair[0]) for pair in axes
-    )
-
-
-def _are_fields(fields: object) -> bool:
-    names = fields if isinstance(fields, tuple) else (fields,)
-    return len(names) > 0 and all(isinstance(name, str) for name in names)
+            if field in fields:
+                yield Problem(place, f"varies {field}, which decides nothing")
+    if len(sweep.labels) not in (0, len(sweep.rows)):
+        yield Problem("labels", f"needs one for each of the {len(sweep.rows)} rows, or none")
+    if len(set(sweep.labels)) < len(sweep.labels):
+        yield Problem("labels", "lists one twice")
+    if len(set(sweep.seeds)) < len(sweep.seeds):
+        yield Problem("seeds", "(or --seeds) lists a seed twice")

@@ -11,7 +11,7 @@ from jaxunshear.config.types import (
     Fraction,
     NotNegative,
     Positive,
-    Rule,
+    Problem,
     Share,
     between,
 )
@@ -67,19 +67,17 @@ class Training:
         if isinstance(self.losses, Mapping):  # else `check_types` reports it
             object.__setattr__(self, "losses", LossWeights(self.losses))
 
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(
-            not self.drops or self.schedule == "steps",
-            "drops",
-            "have no effect with this schedule: use schedule 'steps'",
-        )
+    def find_problems(self) -> Iterator[Problem]:
+        if self.drops and self.schedule != "steps":
+            yield Problem("drops", "have no effect with this schedule: use schedule 'steps'")
         epochs = [epoch for epoch, _ in self.drops]
-        yield Rule(epochs == sorted(set(epochs)), "drops", "must be in the order of their epochs")
-        yield Rule(len(self.losses) > 0, "losses", "name at least one, as supervised:1")
+        if epochs != sorted(set(epochs)):
+            yield Problem("drops", "must be in the order of their epochs")
+        if not self.losses:
+            yield Problem("losses", "name at least one, as supervised:1")
         for name, weight in self.losses.items():
-            yield Rule(
-                weight > 0, f"losses.{name}", "must not be below zero; 0 leaves the loss out"
-            )
+            if not weight > 0:
+                yield Problem(f"losses.{name}", "must not be below zero; 0 leaves the loss out")
 
 
 POSENET_TRAINING = Training(losses={"pose": 1.0})

@@ -18,10 +18,9 @@ Hint = Any  # a type as annotations write it
 Value = Any  # of a field, or of each of several
 
 
-class Rule(NamedTuple):
-    """A condition on settings. A rule may rely on those before it."""
+class Problem(NamedTuple):
+    """A value that cannot work. What finds it may rely on there being no problem before it."""
 
-    holds: bool
     field: str  # which the message names
     remedy: str  # what is wrong with its value, and what to do instead
 
@@ -51,51 +50,46 @@ Counts = Annotated[
 ]
 
 
-def check_types(settings: object) -> None:
-    """Refuse, by dotted name, values of a wrong type; NaN and infinity count as wrong."""
-    _check(settings, type(settings), "")
-
-
-def list_declared_rules(settings: object, group: str = "") -> Iterator[Rule]:
-    """Yield the rules that `settings` and the groups in it declare; fields by dotted name."""
+def find_problems(settings: object, group: str = "") -> Iterator[Problem]:
+    """Find problems of `settings` and of the groups in it: by its types and its `find_problems`."""
     kind: type = type(settings)
     hints = list_hints(kind)
+    values = {field: getattr(settings, field) for field in hints}
     for field, hint in hints.items():
-        value = getattr(settings, field)
-        if choices := list_choices(hint):
-            yield _make_choice_rule(value, choices, f"{group}{field}")
+        choices, value = list_choices(hint), values[field]
+        items = value if isinstance(value, tuple) else (value,)
+        unknown = ", ".join(item for item in items if isinstance(item, str) and item not in choices)
+        if choices and unknown:
+            subject = f"{unknown} is" if isinstance(value, tuple) else "is"
+            remedy = f"{subject} unknown: use one of {', '.join(choices)}"
+            yield Problem(f"{group}{field}", remedy)
         for bound in list_bounds(kind).get(field, ()):
-            yield Rule(bound.holds(value), f"{group}{field}", bound.remedy)
-    for rule in settings.rules() if hasattr(settings, "rules") else ():
-        yield rule._replace(field=f"{group}{rule.field}")
+            if not bound.holds(value):
+                yield Problem(f"{group}{field}", bound.remedy)
+    for field, remedy in settings.find_problems() if hasattr(settings, "find_problems") else ():
+        yield Problem(f"{group}{field}", remedy)
     for field in hints:
-        value = getattr(settings, field)
-        if dataclasses.is_dataclass(value):
-            yield from list_declared_rules(value, f"{group}{field}.")
-
-
-def _make_choice_rule(value: Value, choices: tuple[str, ...], field: str) -> Rule:
-    items = value if isinstance(value, tuple) else (value,)
-    unknown = ", ".join(item for item in items if isinstance(item, str) and item not in choices)
-    subject = f"{unknown} is" if isinstance(value, tuple) else "is"
-    return Rule(not unknown, field, f"{subject} unknown: use one of {', '.join(choices)}")
+        if dataclasses.is_dataclass(values[field]):
+            yield from find_problems(values[field], f"{group}{field}.")
 
 
 def check_rules(settings: object, what: str) -> None:
-    """Raise UserError for the first rule of `settings`, called `what`, that does not hold."""
-    for rule in list_declared_rules(settings):
-        if not rule.holds:
-            value = get_value(settings, rule.field)
-            raise UserError(f"{what}: {rule.field} = {value}: {rule.remedy}")
+    """Raise UserError for the first problem of `settings`, called `what`."""
+    for field, remedy in find_problems(settings):
+        raise UserError(f"{what}: {field} = {get_value(settings, field)}: {remedy}")
 
 
-def get_value(settings: object, name: str) -> Value:
+def get_value(settings: Value, name: str) -> Value:
     """Return the value of the field of this dotted name; 0 for a weight that is not there."""
-    return functools.reduce(_get_part, name.split("."), settings)
+    for part in name.split("."):
+        is_weight = isinstance(settings, Mapping)
+        settings = settings.get(part, 0.0) if is_weight else getattr(settings, part)
+    return settings
 
 
-def _get_part(settings: object, name: str) -> Value:
-    return settings.get(name, 0.0) if isinstance(settings, Mapping) else getattr(settings, name)
+def get_origin(kind: Hint) -> object:
+    """Return `tuple` for `tuple[int, ...]`, None for a plain type; mypy mistypes typing's own."""
+    return typing.get_origin(kind)
 
 
 def is_weights(kind: Hint) -> bool:
@@ -120,23 +114,16 @@ def list_bounds(kind: type) -> dict[str, list[Bound]]:
     return bounds
 
 
-def get_origin(kind: Hint) -> object:
-    """Return `tuple` for `tuple[int, ...]`, None for a plain type; mypy mistypes typing's own."""
-    return typing.get_origin(kind)
-
-
 def list_groups(kind: Hint) -> list[type]:
     """Return the dataclasses that a field may hold: none, one, or those of a union or registry."""
-    kinds = typing.get_args(kind) if _is_union(kind) else (kind,)
-    return [part for each in kinds for part in _list_dataclasses(each)]
-
-
-def _list_dataclasses(kind: Hint) -> list[type]:
-    """Return a dataclass, or those that have registered with a class as kinds of it."""
-    registered = getattr(kind, "__dict__", {}).get("registered")
-    if isinstance(registered, dict):
-        return list(registered.values())
-    return [typing.cast(type, kind)] if dataclasses.is_dataclass(kind) else []
+    groups: list[type] = []
+    for each in typing.get_args(kind) if _is_union(kind) else (kind,):
+        registered = getattr(each, "__dict__", {}).get("registered")
+        if isinstance(registered, dict):
+            groups += registered.values()
+        elif dataclasses.is_dataclass(each):
+            groups.append(typing.cast(type, each))
+    return groups
 
 
 def get_optional(kind: Hint) -> Hint:
@@ -189,31 +176,33 @@ def _describe_tuple(kind: Hint) -> str:
 
 def is_of_type(value: Any, kind: Hint) -> bool:
     """Return whether a value is of a field's type; any text passes for one of its names."""
-    if (inner := get_optional(kind)) is not None:
-        return value is None or is_of_type(value, inner)
+    if kind is Value:
+        return True
+    if _is_union(kind) and not list_groups(kind):
+        return any(is_of_type(value, each) for each in typing.get_args(kind))
     if get_origin(kind) is tuple:
-        return isinstance(value, tuple) and _has_item_types(value, kind)
+        kinds = typing.get_args(kind)
+        if not isinstance(value, tuple):
+            return False
+        if kinds[-1] is ...:
+            return all(is_of_type(item, kinds[0]) for item in value)
+        return len(value) == len(kinds) and all(map(is_of_type, value, kinds))
     if is_weights(kind):
         return isinstance(value, Mapping) and all(
             isinstance(name, str) and is_of_type(weight, float) for name, weight in value.items()
         )
     if list_choices(kind):
         return isinstance(value, (str, *list_groups(kind)))
-    if kind is bool:
-        return isinstance(value, bool)
-    if isinstance(value, bool):  # is an int to Python
-        return False
+    if kind is bool or isinstance(value, bool):  # a bool is an int to Python
+        return kind is bool and isinstance(value, bool)
     if kind is float:
         return isinstance(value, int | float) and abs(value) <= sys.float_info.max
     return isinstance(value, kind)
 
 
-def _has_item_types(values: tuple, kind: Hint) -> bool:
-    """Return whether the items of a tuple are of the types that `kind`, a tuple type, says."""
-    kinds = typing.get_args(kind)
-    if kinds[-1] is ...:
-        return all(is_of_type(value, kinds[0]) for value in values)
-    return len(values) == len(kinds) and all(map(is_of_type, values, kinds))
+def check_types(settings: object) -> None:
+    """Refuse, by dotted name, values of a wrong type; NaN and infinity count as wrong."""
+    _check(settings, type(settings), "")
 
 
 def _check(value: object, kind: Hint, name: str) -> None:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.splits import SPLITS, hash_text
 from jaxunshear.data.labels import read_pair_table
 from jaxunshear.data.recorded_splits import cut_block, read_folder_split, split_by_folders

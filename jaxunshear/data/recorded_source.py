@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxunshear.config.data import RENDERED_PAIRINGS, DataSettings, Recorded
 from jaxunshear.config.network_config import NetworkConfig
-from jaxunshear.config.registry import POSENETS
+from jaxunshear.config.networks import POSENETS
 from jaxunshear.config.targets import Targets
 from jaxunshear.data.recorded_contacts import parse_folder_digests
 from jaxunshear.data.sources import DataSource, Examples, Helpers, PinLayout

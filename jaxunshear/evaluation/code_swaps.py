@@ -16,8 +16,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.networks import UnshearNet
-from jaxunshear.config.registry import DISENTANGLED
+from jaxunshear.config.networks import DISENTANGLED, UnshearNet
 from jaxunshear.data.reader import Reader
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.intervals import INTERVALS_OVER, compute_intervals, number_poses

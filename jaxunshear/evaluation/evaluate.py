@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.registry import POSENETS
+from jaxunshear.config.networks import POSENETS
 from jaxunshear.data.sources import open_source
 from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.result_tables import finish_results

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED, UNSHEARING
+from jaxunshear.config.networks import DISENTANGLED, POSENET, POSENET_SHEARED, UNSHEARING
 from jaxunshear.config.targets import Targets
 from jaxunshear.data.sources import PinLayout
 from jaxunshear.evaluation.code_swaps import decode_cells

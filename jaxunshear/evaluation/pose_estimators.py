@@ -22,7 +22,7 @@ from sklearn.metrics.pairwise import euclidean_distances
 from sklearn.model_selection import GridSearchCV, PredefinedSplit
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.registry import POSENET, UNSHEARING
+from jaxunshear.config.networks import POSENET, UNSHEARING
 from jaxunshear.config.targets import Targets, list_label_fields
 from jaxunshear.data.reader import Reader
 from jaxunshear.evaluation.score import Outputs, score_poses

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jax import Array
 
-from jaxunshear.config.registry import DISENTANGLED, UNSHEARING
+from jaxunshear.config.networks import DISENTANGLED, UNSHEARING
 from jaxunshear.config.targets import Targets
 from jaxunshear.metrics import compute_pose_errors, count_scales, ms_ssim, mse, ssim
 

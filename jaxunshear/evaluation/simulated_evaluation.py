@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.experiment import Experiment, list_further_tests
-from jaxunshear.config.registry import DISENTANGLED
+from jaxunshear.config.networks import DISENTANGLED
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import make_range_targets, read_true_values
 from jaxunshear.data.generation import read_metadata

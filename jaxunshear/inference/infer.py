@@ -18,7 +18,7 @@ from jaxunshear.code_version import read_source
 from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
 from jaxunshear.data.recordings import RecordedFrame, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.files import Json, write_bytes, write_text
+from jaxunshear.files import Json, format_csv, write_bytes, write_text
 from jaxunshear.inference.forward import BATCH, UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel, load_model
 from jaxunshear.metrics.errors import compute_pose_errors

@@ -19,12 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.registry import ALL_NETWORKS, DISENTANGLED, POSENET, POSENET_SHEARED
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.networks import ALL_NETWORKS, DISENTANGLED, POSENET, POSENET_SHEARED
+from jaxunshear.config.sensor import Preprocess, Sensor
+from jaxunshear.config.serialization import find_model_folder, load_settings
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.data.sensor_frame import (
@@ -34,6 +33,7 @@ from jaxunshear.data.sensor_frame import (
     parse_frame,
 )
 from jaxunshear.data.sources import DataSource, open_source
+from jaxunshear.environment import keep_freed_memory
 from jaxunshear.errors import Note, UserError
 from jaxunshear.files import read_object
 from jaxunshear.inference.forward import (

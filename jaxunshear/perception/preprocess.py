@@ -24,7 +24,7 @@ from skimage.filters import threshold_otsu
 from skimage.measure import label
 from threadpoolctl import ThreadpoolController
 
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.errors import UserError
 from jaxunshear.perception.grey import (
     check_contrast,

@@ -12,7 +12,7 @@ from typing import Literal
 
 from markupsafe import Markup
 
-from jaxunshear.config.registry import DISENTANGLED, REGISTRY, UNSHEARING
+from jaxunshear.config.networks import DISENTANGLED, REGISTRY, UNSHEARING
 from jaxunshear.evaluation.recorded_results import describe_test
 from jaxunshear.files import Json
 from jaxunshear.report import html

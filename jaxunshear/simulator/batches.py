@@ -11,8 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.config.reach import compute_ring_arcs, compute_ring_spacing
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Sensor, compute_ring_arcs, compute_ring_spacing
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.contact_problem import (
     ContactProblem,

@@ -17,8 +17,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Float32
 
-from jaxunshear.config.image import Camera, Nuisance, Preprocess
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Camera, Nuisance, Preprocess, Sensor
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 
 # Measured on colour frames of a real 331-pin sensor, as fractions of full scale or of the outermost

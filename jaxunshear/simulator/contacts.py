@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import Delaunay, cKDTree
 
-from jaxunshear.config.reach import compute_max_contact_depth_mm
-from jaxunshear.config.sensor import Sensor, check_sensor
+from jaxunshear.config.sensor import Sensor, check_sensor, compute_max_contact_depth_mm
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.paths import DEPTH, MIN_LEG_MM, TILT_X, Paths

@@ -20,8 +20,14 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.config.reach import RING_MM, compute_ring_arcs, compute_ring_spacing
-from jaxunshear.config.sensor import Sensor, check_sensor, describe_sensor
+from jaxunshear.config.sensor import (
+    RING_MM,
+    Sensor,
+    check_sensor,
+    compute_ring_arcs,
+    compute_ring_spacing,
+    describe_sensor,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.files import cache_folder
 from jaxunshear.progress import Progress

@@ -17,8 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxunshear.config.reach import REACHED_SHARE
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import REACHED_SHARE, Sensor
 from jaxunshear.config.stimuli import Outline
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.elasticity import Compliance

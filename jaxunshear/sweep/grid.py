@@ -14,7 +14,7 @@ from jaxunshear.config.configs import compute_digest
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import format_value, replace_field
 from jaxunshear.config.network_config import NetworkConfig
-from jaxunshear.config.registry import DISENTANGLED, list_networks
+from jaxunshear.config.networks import DISENTANGLED, list_networks
 from jaxunshear.config.rules import validate
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import (

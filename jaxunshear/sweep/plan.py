@@ -22,7 +22,7 @@ from jaxunshear.config.network_config import (
     resolve_network,
     resolve_trained_networks,
 )
-from jaxunshear.config.registry import TRAINABLE
+from jaxunshear.config.networks import TRAINABLE
 from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.data.sources import list_source_files, open_source
 from jaxunshear.errors import UserError

@@ -17,8 +17,7 @@ from jaxunshear.cluster import Call, CallRunner, WorkerDied, make_ray_runner, ru
 from jaxunshear.config.network_config import list_trained_networks
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.errors import UserError
-from jaxunshear.files import write_bytes
-from jaxunshear.locks import hold_lock
+from jaxunshear.files import hold_lock, write_bytes
 from jaxunshear.progress import Progress
 from jaxunshear.report.sweep_figures import plot_frontier, plot_sweep
 from jaxunshear.results.record_files import write_record

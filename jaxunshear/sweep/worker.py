@@ -16,16 +16,14 @@ import traceback
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.code_version import read_source
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.load import run_file
 from jaxunshear.config.serialization import from_json
 from jaxunshear.data.sources import open_source
-from jaxunshear.environment import check_variables
+from jaxunshear.environment import check_variables, keep_freed_memory
 from jaxunshear.errors import UserError
-from jaxunshear.files import is_disk_full
-from jaxunshear.locks import hold_lock
+from jaxunshear.files import hold_lock, is_disk_full
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record, write_record
 from jaxunshear.results.sweep import Outcome

@@ -152,7 +152,7 @@ def compute_rendered_pose_term(inputs: PoseInputs) -> Array:
     return distances.compute_absolute_pose_loss(outputs, poses, weights)
 
 
-def compute_pin_term(inputs: PoseInputs) -> Array:
+def compute_pins_term(inputs: PoseInputs) -> Array:
     """Compare the renderer's pins with those of the tap."""
     return distances.compute_pin_distance(inputs.outputs, inputs.batch["pins"], inputs.variables)
 

@@ -10,11 +10,10 @@ from typing import NamedTuple
 from jaxunshear.config.configs import list_differences
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import NetworkConfig, resolve_network
-from jaxunshear.config.serialization import OLD_FILES
+from jaxunshear.config.serialization import OLD_FILES, find_model_folder
 from jaxunshear.data.sources import DataSource, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
-from jaxunshear.model_folders import find_model_folder
 
 
 class InitialWeights(NamedTuple):
@@ -27,7 +26,7 @@ def start_folder(experiment: Experiment, network: str) -> Path | None:
 
     Raises UserError if they are missing or learnt the tests.
     """
-    model = resolve_network(experiment, network).start
+    model = resolve_network(experiment, network).training.start
     if not model:
         return None
     folder = find_model_folder(Path(model)) / network

@@ -22,10 +22,10 @@ import optax
 from jax import Array
 
 from jaxunshear import files
-from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.code_version import read_source
 from jaxunshear.config.targets import to_json
 from jaxunshear.config.training import Training
+from jaxunshear.environment import keep_freed_memory
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.models import layer_choice

@@ -9,8 +9,7 @@ from jaxunshear.calibration.alignment import AlignmentProblem, estimate_rotation
 from jaxunshear.calibration.labels import LabelFrame, apply_frame, make_paths, read_motions
 from jaxunshear.calibration.pin_statistics import make_observation
 from jaxunshear.calibration.prediction import make_probe_sensor, make_values, project_positions
-from jaxunshear.config.image import FITTED_CAMERA
-from jaxunshear.config.sensor import TACTIP_331_FITTED
+from jaxunshear.config.sensor import FITTED_CAMERA, TACTIP_331_FITTED
 from jaxunshear.perception.lattice import compute_rings, make_lattice
 from jaxunshear.simulator.paths import DEPTH, TILT_X, X
 from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips

@@ -10,7 +10,7 @@ from PIL import Image
 from jaxunshear.calibration.prediction import DEFAULT_CALIBRATION, Calibration, read_calibration
 from jaxunshear.calibration.recorded_groups import are_among, list_sampled_images, split_folders
 from jaxunshear.calibration.validate import PRESET_RECORDINGS, validate
-from jaxunshear.config.image import Camera
+from jaxunshear.config.sensor import Camera
 from jaxunshear.errors import UserError
 from tests.calibration.conftest import write_recording
 

@@ -22,8 +22,7 @@ from jaxunshear.calibration.validation import (
     compute_r2,
     draw_folders,
 )
-from jaxunshear.config.image import FITTED_CAMERA
-from jaxunshear.config.sensor import TACTIP_331_FITTED
+from jaxunshear.config.sensor import FITTED_CAMERA, TACTIP_331_FITTED
 from jaxunshear.perception.lattice import compute_rings
 from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
 

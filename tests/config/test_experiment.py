@@ -12,7 +12,7 @@ from jaxunshear.config.data import Recorded, RecordedTaps
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import list_field_types, override_fields, replace_field
 from jaxunshear.config.load import load_experiment
-from jaxunshear.config.rules import list_rules, validate
+from jaxunshear.config.rules import find_experiment_problems, validate
 from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.config.stimuli import StimulusName
 from jaxunshear.config.training import Training
@@ -21,6 +21,7 @@ from jaxunshear.errors import UserError
 
 PLAIN = Experiment(name="plain", claim="none")
 MISSING = object()
+IMPORT = "from jaxunshear.config.experiment import Experiment\n"
 
 
 def changed(*argv: str) -> Experiment:
@@ -101,19 +102,11 @@ def test_json_keeps_everything():
     assert from_json(json.loads(json.dumps(to_json(experiment)))) == experiment
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [lambda d: d.pop("train"), lambda d: d.update(more=1), lambda d: d["train"].update(batch="x")],
-)
-def test_json_of_another_version_is_refused(damage):
+def test_json_with_a_value_of_another_type_is_refused():
     data = to_json(PLAIN)
-    damage(data)
-    with pytest.raises(UserError, match=r"experiment\.json"):
+    data["train"]["batch"] = "x"
+    with pytest.raises(UserError, match=r"experiment\.json: train\.batch takes an integer"):
         from_json(data)
-
-
-def test_the_default_experiment_is_valid():
-    validate(PLAIN)
 
 
 def test_wrong_types_and_nan_in_a_file_are_refused_by_name():
@@ -131,16 +124,12 @@ def test_the_names_of_the_stimuli_are_those_of_the_scene():
 
 
 def test_depths_beyond_the_contact_model_are_refused():
-    from jaxunshear.config.reach import compute_max_depth_mm
+    from jaxunshear.config.sensor import compute_max_depth_mm
 
     for excess, refused in ((-0.01, False), (0.01, True)):
-        ranges = dataclasses.replace(
-            PLAIN.pose.ranges, depth_max_mm=compute_max_depth_mm(PLAIN.sensor) + excess
-        )
-        deep = dataclasses.replace(
-            PLAIN, pose=dataclasses.replace(PLAIN.pose, config="deep", ranges=ranges)
-        )
-        wrong = [name for holds, name, _ in list_rules(deep) if not holds]
+        depth_mm = compute_max_depth_mm(PLAIN.sensor) + excess
+        deep = replace_field(PLAIN, "pose.ranges.depth_max_mm", depth_mm)
+        wrong = [problem.field for problem in find_experiment_problems(deep)]
         assert ("pose.ranges.depth_max_mm" in wrong) == refused
 
 
@@ -159,15 +148,8 @@ def test_train_share_of_the_rules_is_that_of_the_split():
         ("import jaxunshear\nexperiment = (", "syntax error in line 2"),
         ("\n1 / 0", "fails in line 2: ZeroDivisionError"),
         ("import sys; sys.exit(3)", "SystemExit"),
-        (
-            "from jaxunshear.config.experiment import Experiment\nexperiment = Experiment(nam='x')",
-            "unexpected keyword argument 'nam'",
-        ),
-        (
-            "from jaxunshear.config.experiment import Experiment\n"
-            "experiment = Experiment(name='x')",
-            "missing 1 required",
-        ),
+        (f"{IMPORT}experiment = Experiment(nam='x')", "unexpected keyword argument 'nam'"),
+        (f"{IMPORT}experiment = Experiment(name='x')", "missing 1 required"),
         ("setup = 1", "defines no variable `experiment`"),
         ("sweep = 1", "defines a sweep: run it with `jaxunshear sweep"),
         ("experiment = {'name': 'x'}", "of type dict, not Experiment"),
@@ -189,14 +171,11 @@ def test_a_file_builds_on_its_own_neighbour(tmp_path):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "base.py").write_text(f"seed = {seed}")
         (tmp_path / folder / "built.py").write_text(
-            "import base\nfrom jaxunshear.config.experiment import Experiment\n"
-            "experiment = Experiment(name='built', claim='', seed=base.seed)"
+            f"{IMPORT}import base\nexperiment = Experiment('built', '', seed=base.seed)"
         )
     before = list(sys.path)
-    assert [load_experiment(tmp_path / folder / "built.py").seed for folder in ("one", "two")] == [
-        1,
-        2,
-    ]
+    seeds = [load_experiment(tmp_path / folder / "built.py").seed for folder in ("one", "two")]
+    assert seeds == [1, 2]
     assert sys.path == before and "base" not in sys.modules
 
 
@@ -205,10 +184,7 @@ def test_a_file_builds_on_one_of_the_folder_above(tmp_path):
     inner = tmp_path / "ablations"
     inner.mkdir()
     (tmp_path / "base_above.py").write_text("seed = 5")
-    text = (
-        "import base_above\nfrom jaxunshear.config.experiment import Experiment\n"
-        "experiment = Experiment(name='built', claim='', seed=base_above.seed)"
-    )
+    text = f"{IMPORT}import base_above\nexperiment = Experiment('b', '', seed=base_above.seed)"
     (inner / "built.py").write_text(text)
     before = list(sys.path)
     assert load_experiment(inner / "built.py").seed == 5
@@ -222,17 +198,6 @@ def test_a_fault_of_a_neighbour_is_refused_in_one_line(tmp_path):
     (tmp_path / "built.py").write_text("import base")
     with pytest.raises(UserError, match=r"built\.py fails in line 1: ZeroDivisionError"):
         load_experiment(tmp_path / "built.py")
-
-
-def test_a_binary_file_a_folder_and_a_missing_file(tmp_path):
-    (tmp_path / "image.png").write_bytes(b"\x89PNG\r\n\xff")
-    for path, line in (
-        (tmp_path / "image.png", "not text"),
-        (tmp_path, "is a folder"),
-        (tmp_path / "no.py", "does not exist"),
-    ):
-        with pytest.raises(UserError, match=line):
-            load_experiment(path)
 
 
 @pytest.mark.parametrize("epochs", [float("inf"), 10**400])

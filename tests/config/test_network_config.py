@@ -13,8 +13,7 @@ from jaxunshear.config.network_config import (
     list_trained_networks,
     resolve_network,
 )
-from jaxunshear.config.networks import UnshearNet
-from jaxunshear.config.registry import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE
+from jaxunshear.config.networks import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE, UnshearNet
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.data.sources import open_source
 from jaxunshear.fit import BASE_EXPERIMENT as RECORDED
@@ -123,14 +122,9 @@ def record_training(monkeypatch, tmp_path):
             fields = [sorted(batch) for batch in data.validation()]
             learnt = (task.kind, task.net, task.targets, task.weights)
             calls.append((learnt, training, seed, fields, data.epoch_images, provenance))
-            return trainer.TrainingSummary(
-                steps=1,
-                parameters=1,
-                best_step=1,
-                best_loss=1.0,
-                train_seconds=1.0,
-                images_per_second=1.0,
-            )
+            counts = dict.fromkeys(("steps", "parameters", "best_step"), 1)
+            measured = ("best_loss", "train_seconds", "images_per_second")
+            return trainer.TrainingSummary(**counts, **dict.fromkeys(measured, 1.0))
 
         def open_set(*words):
             calls.append(words)

@@ -15,23 +15,13 @@ from jaxunshear.config.outlines import parse_stimulus, read_outline, trace_outli
 from jaxunshear.config.rules import validate
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.config.serialization import from_json, to_json
-from jaxunshear.config.stimuli import MAX_CORNERS, Outline
+from jaxunshear.config.stimuli import Outline
 from jaxunshear.errors import UserError
 
 SQUARE = ((0, 0), (20, 0), (20, 20), (0, 20))
 PLUS = (
-    (1, 1),
-    (1, 3),
-    (-1, 3),
-    (-1, 1),
-    (-3, 1),
-    (-3, -1),
-    (-1, -1),
-    (-1, -3),
-    (1, -3),
-    (1, -1),
-    (3, -1),
-    (3, 1),
+    *((1, 1), (1, 3), (-1, 3), (-1, 1), (-3, 1), (-3, -1)),
+    *((-1, -1), (-1, -3), (1, -3), (1, -1), (3, -1), (3, 1)),
 )
 PLAIN = Experiment("own", "none", paired=PairedData(stimuli=("disk", Outline("square", SQUARE))))
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" {}>{}</svg>'
@@ -69,11 +59,7 @@ def ring(xy):
 def test_what_is_no_outline_is_refused(points, reason):
     with pytest.raises(UserError, match=reason) as refusal:
         Outline("mine", points)
-    assert (
-        "outline 'mine'" in str(refusal.value)
-        and "\n" not in str(refusal.value)
-        and MAX_CORNERS < 500
-    )
+    assert "outline 'mine'" in str(refusal.value) and "\n" not in str(refusal.value)
 
 
 @pytest.mark.parametrize("name", ["disk", "", "two words", 7, "a/b"])
@@ -114,14 +100,12 @@ def test_drawings_are_read_in_mm_with_y_up(tmp_path):
     (tmp_path / "lens.svg").write_text(SVG.format(size, path))
     lens = np.array(read_outline(tmp_path / "lens.svg").points)
     np.testing.assert_allclose([lens.min(0), lens.max(0)], [[0, -20], [30, 0]], atol=0.02)
-    assert (
-        np.abs(lens - [30, -10]).sum(-1).min() < 0.5
-    )  # the curve's vertex: half way to its control point
+    # the curve's vertex: half way to its control point
+    assert np.abs(lens - [30, -10]).sum(-1).min() < 0.5
     (tmp_path / "disc.svg").write_text(SVG.format("", '<circle cx="5" cy="7" r="10"/>'))
     disc = read_outline(tmp_path / "disc.svg")
-    np.testing.assert_allclose(
-        np.linalg.norm(disc.points - np.array([5, -7]), axis=-1), 10, atol=0.02
-    )
+    radius = np.linalg.norm(disc.points - np.array([5, -7]), axis=-1)
+    np.testing.assert_allclose(radius, 10, atol=0.02)
     np.testing.assert_allclose(disc.place, (15, -7, 0), atol=0.05)
 
 
@@ -129,11 +113,8 @@ def test_points_are_read_from_tables_and_lists(tmp_path):
     (tmp_path / "a.csv").write_text("x_mm,y_mm\n" + "".join(f"{x}, {y}\n" for x, y in SQUARE))
     (tmp_path / "a.json").write_text(json.dumps(SQUARE))
     (tmp_path / "b.json").write_text(json.dumps({"name": "a", "points": SQUARE, "friction": 0.3}))
-    assert (
-        read_outline(tmp_path / "a.csv")
-        == read_outline(tmp_path / "a.json")
-        == Outline("a", SQUARE)
-    )
+    for name in ("a.csv", "a.json"):
+        assert read_outline(tmp_path / name) == Outline("a", SQUARE)
     assert read_outline(tmp_path / "b.json") == Outline("a", SQUARE, friction=0.3)
     assert parse_stimulus("disk") == "disk" and parse_stimulus(str(tmp_path / "a.csv")).name == "a"
 
@@ -195,9 +176,8 @@ def test_functions_that_give_no_outline_are_refused(distance, reason):
 def test_settings_with_outlines_are_stored_and_read_again():
     validate(PLAIN)
     stored = json.loads(json.dumps(to_json(PLAIN)))
-    assert stored["paired"]["stimuli"][0] == "disk" and stored["paired"]["stimuli"][1]["points"][
-        1
-    ] == [20, 0]
+    disk, square = stored["paired"]["stimuli"]
+    assert disk == "disk" and square["points"][1] == [20, 0]
     assert from_json(stored) == PLAIN and hash(from_json(stored)) == hash(PLAIN)
     stored["paired"]["stimuli"][1]["points"] = [[0, 0]]
     with pytest.raises(UserError, match="a point or a line"):
@@ -218,24 +198,13 @@ def test_other_points_are_another_set():
 
 def test_files_are_named_on_the_command_line(tmp_path):
     (tmp_path / "square.csv").write_text("\n".join(f"{x} {y}" for x, y in SQUARE))
-    argv = [
-        "--paired.stimuli",
-        f"disk,{tmp_path / 'square.csv'}",
-        "--pose.stimuli",
-        "disk",
-        "--unseen",
-        "leaf",
-    ]
+    file = tmp_path / "square.csv"
+    argv = f"--paired.stimuli disk,{file} --pose.stimuli disk --unseen leaf".split()
     changed = override_fields(Experiment("own", "none"), argv)
     assert changed.paired == PLAIN.paired and changed.paired.names == ("disk", "square")
-    with pytest.raises(
-        UserError, match=r"--paired\.stimuli disk,square,square: name each stimulus once"
-    ):
-        validate(
-            override_fields(
-                changed, ["--paired.stimuli", f"disk,{tmp_path}/square.csv,{tmp_path}/square.csv"]
-            )
-        )
+    twice = override_fields(changed, ["--paired.stimuli", f"disk,{file},{file}"])
+    with pytest.raises(UserError, match=r"stimuli disk,square,square: name each stimulus once"):
+        validate(twice)
 
 
 @pytest.mark.parametrize(
@@ -279,7 +248,5 @@ experiment = Experiment("mine", "none", sensor=small, paired=paired)
     assert found.sensor.pins == 127 and found.paired.names == ("disk", "blob", "kite")
     assert from_json(json.loads(json.dumps(to_json(found)))) == found
     file.write_text(text.format(corner="(8, -20)"))
-    with pytest.raises(
-        UserError, match=r"mine\.py fails in line 13: UserError: outline 'kite' crosses itself"
-    ):
+    with pytest.raises(UserError, match=r"mine\.py fails in line 13: .*'kite' crosses itself"):
         load_experiment(file)

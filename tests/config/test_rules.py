@@ -22,7 +22,37 @@ SMALL = " ".join(
     f"--{group}.size=16" for group in ("paired.preprocess", "pose.preprocess", "unshear", "posenet")
 )
 
+# fields whose value is out of its bounds, whatever the others are
+OUT_OF_BOUNDS = """
+train.epochs 0, train.epochs -3, train.epochs inf, train.batch 0, train.learning_rate -0.001,
+train.learning_rate nan, train.learning_rate 0, train.schedule linear, train.beta1 1,
+train.averaging 1.5, train.l1 -1, train.kernels norm, train.shift 0.7, train.validate_every 0,
+train.optimiser sgd, train.validation_images 0, train.crop_px 129, paired.poses 0, pose.poses -1,
+paired.slides 0, paired.taps 0, paired.seed -1, seed 3000000000, paired.ranges.depth_min_mm 0,
+paired.ranges.move_mm -1, paired.ranges.yaw_deg 200, paired.ranges.lateral_mm 100,
+paired.ranges.depth_max_mm 25, pose.ranges.depth_max_mm 10.5, paired.tap_depth_jitter_mm 2,
+paired.preprocess.size 0, paired.preprocess.size 512, paired.preprocess.block 0,
+paired.preprocess.outer_pins 0, paired.camera.distance_mm 10, pose.nuisance.noise 2,
+sensor.gel_poisson 0.5, sensor.pin_radius_mm 1, sensor.rings 40, sensor.layout square,
+unshear.size 64, posenet.size 64, unshear.widths 8, posenet.widths 8-8, name a/b
+"""
 REFUSED = {
+    "one field": [
+        ("--paired.taps 3 --paired.slides 2", "--paired.taps 3: exceeds slides (2)"),
+        ("--train.drops 40:0.2", "use schedule 'steps'"),
+        ("--train.schedule steps --train.drops 80:0.1,40:0.2", "in the order"),
+        ("--train.schedule steps --train.drops 40:2", "--train.drops 40.0:2.0"),
+        ("--paired.stimuli disk,box", "box is unknown: use one of disk, clover"),
+        ("--paired.stimuli=", "name at least one"),
+        ("--paired.stimuli disk,disk", "each stimulus once"),
+        ("--paired.config standard", "a configuration is chosen by the experiment's file"),
+        ("--paired.ranges.depth_min_mm 7", "must not exceed depth_max_mm (6)"),
+        ("--other_jitters_mm 1,1.0", "name each once"),
+        (f"{SMALL.replace('=16', '=72')} --paired.preprocess.size 72", "not divisible by 32"),
+        ("--unshear.widths 8,0", "list positive numbers"),
+        ("--unshear.disentangled false", "use `--networks entangled`"),
+        ("--name=", "names the folder"),
+    ],
     "losses": [
         (f"{PAIR} --train_posenet.losses.patch 1", "is for a network that unshears: leave it out"),
         (f"{PAIR} --train.losses.pose 1", "is for a network that reads poses: leave it out"),
@@ -63,6 +93,7 @@ REFUSED = {
     "batches": [
         ("--train_teacher.batch 100000 --train.losses.pose_tap 0.1", "--train_teacher.batch 1"),
         ("--train.batch 100000", "is larger than the training set of 2160"),
+        ("--train_posenet.batch 100000", "is larger than the training set of 4320"),
     ],
     "codes": [
         (f"{CONVOLVED} 4,0 --networks posenet_sheared", "list positive numbers"),
@@ -179,6 +210,14 @@ def test_a_setting_that_cannot_work_is_refused_by_name(words, line):
     with pytest.raises(UserError) as refused:
         validate(override_fields(PLAIN, words.split()))
     assert line in str(refused.value) and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("words", OUT_OF_BOUNDS.replace("\n", " ").split(","))
+def test_a_value_out_of_its_bounds_is_refused_with_a_remedy(words):
+    field, value = words.split()
+    with pytest.raises(UserError, match=rf"^--{field} .*\w") as refused:
+        validate(override_fields(PLAIN, [f"--{field}", value.replace("8-8", "8,8")]))
+    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("words", ACCEPTED)

@@ -1,5 +1,7 @@
 """A pose is in one split, whichever set of its seed holds it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,21 +21,15 @@ SIZES = (5, 6, 7, 8, 9, 10, 11, 13, 24, 36, 60, 150)
 def test_no_pose_is_in_two_splits_of_sets_of_one_seed(seed):
     """Compare the poses themselves over sizes, slides, stimuli and kinds of set."""
     seen: dict[tuple, set[str]] = {}
+    other = {"stimuli": ("teardrop", "flower", "disk"), "taps": 2, "slides": 5}
     for size in DRAWN:
-        for settings in (
-            PairedData(poses=size, seed=seed),
-            PairedData(
-                poses=size, seed=seed, stimuli=("teardrop", "flower", "disk"), taps=2, slides=5
-            ),
-            PoseData(poses=size, seed=seed),
-        ):
+        paired = PairedData(poses=size, seed=seed)
+        for settings in (paired, replace(paired, **other), PoseData(poses=size, seed=seed)):
             shots = sample_contacts(settings)
-            for stimulus, pose, split in zip(
-                shots.scenes.stimulus, shots.scenes.pose, shots.split, strict=True
-            ):
-                seen.setdefault((settings.stimuli[stimulus], *pose.tolist()), set()).add(
-                    SPLITS[split]
-                )
+            scenes = zip(shots.scenes.stimulus, shots.scenes.pose, shots.split, strict=True)
+            for stimulus, pose, split in scenes:
+                place = (settings.stimuli[stimulus], *pose.tolist())
+                seen.setdefault(place, set()).add(SPLITS[split])
     assert len(seen) == 4 * max(DRAWN)
     assert all(len(splits) == 1 for splits in seen.values())
 

@@ -29,11 +29,11 @@ IMPORTS = (
 BAD = [
     ({"name": 5}, "bad.py: sweep.name"),
     ({"name": "a/b"}, "--name a/b"),
-    ({"base": None}, "sweep.base is of type NoneType"),
+    ({"base": None}, "sweep.base is no Experiment"),
     ({"base": Experiment(name="x", claim=5)}, "--claim takes text"),
     ({"grid": ("train.batch", (1, 2))}, "sweep.grid is no tuple of axes"),
     ({"grid": (("train.batch", ()),)}, "sweep.grid lists no values for train.batch"),
-    ({"grid": (("train.batch", [4]),)}, "sweep.grid lists no values for train.batch"),
+    ({"grid": (("train.batch", [4]),)}, "sweep.grid is no tuple of axes"),
     ({"grid": (((), (4,)),)}, "sweep.grid is no tuple of axes"),
     ({"grid": ((("train.batch", "seed"), ((4,),)),)}, "sweep.grid needs tuples of a value each"),
     (

@@ -7,8 +7,7 @@ from PIL import Image
 
 from jaxunshear.config.configs import PAIRED
 from jaxunshear.config.data import PoseData
-from jaxunshear.config.image import Nuisance
-from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.sensor import TACTIP_331, Nuisance
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data import simulation
 from jaxunshear.data.chunks import (

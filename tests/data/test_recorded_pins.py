@@ -8,13 +8,12 @@ import pytest
 from PIL import Image
 
 from jaxunshear.api import find_pins
-from jaxunshear.config.image import Camera, Nuisance
-from jaxunshear.config.sensor import TACTIP_127, TACTIP_331
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Camera, Nuisance
 from jaxunshear.errors import UserError
+from jaxunshear.files import to_builtins
 from jaxunshear.perception.lattice_fitting import make_layout, read_layout
 from jaxunshear.results.applications import PinScores
 from jaxunshear.results.record_files import SCHEMA, convert_record
-from jaxunshear.serialization import to_builtins
 from jaxunshear.simulator.camera import project, render_frame
 from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
 from tests.helpers.commands import succeed

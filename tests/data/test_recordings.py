@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.perception import preprocess

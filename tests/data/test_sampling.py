@@ -11,8 +11,7 @@ from jaxunshear.config.configs import (
     get_config_sensor,
 )
 from jaxunshear.config.data import PairedData, PoseData, Ranges
-from jaxunshear.config.image import FITTED_CAMERA
-from jaxunshear.config.sensor import FITTED_FRICTION, TACTIP_127, TACTIP_331_FITTED
+from jaxunshear.config.sensor import FITTED_CAMERA, FITTED_FRICTION, TACTIP_127, TACTIP_331_FITTED
 from jaxunshear.config.splits import SPLITS, assign_split
 from jaxunshear.data.sampling import MIN_DEPTH_MM, sample_pairs, sample_taps
 from jaxunshear.errors import UserError

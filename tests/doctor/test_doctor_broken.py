@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear.cli import main
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.errors import UserError
 

@@ -10,9 +10,8 @@ import pytest
 from jaxunshear.angles import rotate_2d
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.networks import PinNet, UnshearNet
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Preprocess, Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import make_slide_targets
 from jaxunshear.config.training import Training

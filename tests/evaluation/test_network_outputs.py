@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.data import Ranges
-from jaxunshear.config.registry import ALL_NETWORKS, NETWORKS
+from jaxunshear.config.networks import ALL_NETWORKS, NETWORKS
 from jaxunshear.config.targets import list_target_names, make_range_targets
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import network_outputs

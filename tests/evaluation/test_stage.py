@@ -11,7 +11,7 @@ from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.network_config import resolve_network
-from jaxunshear.config.registry import ALL_NETWORKS, UNSHEARING
+from jaxunshear.config.networks import ALL_NETWORKS, UNSHEARING
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.data import stored_sets
 from jaxunshear.data.sources import open_source

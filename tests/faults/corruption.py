@@ -12,15 +12,14 @@ from jaxunshear.api import load_model
 from jaxunshear.config.configs import get_set_folder
 from jaxunshear.config.data import PairedData, PoseData, Recorded
 from jaxunshear.config.load import load_experiment
-from jaxunshear.config.reach import set_ring_spacing
-from jaxunshear.config.sensor import TACTIP_127, Sensor
+from jaxunshear.config.sensor import TACTIP_127, Sensor, set_ring_spacing
 from jaxunshear.config.serialization import from_json
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import load_chunk
 from jaxunshear.data.recordings import read_image
 from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.errors import UserError
-from jaxunshear.files import read_json
+from jaxunshear.files import read_json, to_builtins
 from jaxunshear.report import montage
 from jaxunshear.report.training_sections import read_history
 from jaxunshear.results.record_files import read_record, read_times

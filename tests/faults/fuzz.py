@@ -15,7 +15,7 @@ from PIL import Image
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import list_field_types, override_fields
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.config.types import check_types
 from jaxunshear.data.labels import read_pair_table, read_table, read_targets

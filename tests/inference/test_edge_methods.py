@@ -8,8 +8,7 @@ import pytest
 
 from jaxunshear.config.data import Ranges
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.networks import PoseNet, UnshearNet
-from jaxunshear.config.registry import UNSHEARING
+from jaxunshear.config.networks import UNSHEARING, PoseNet, UnshearNet
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.errors import UserError
 from jaxunshear.inference.edge_methods import (

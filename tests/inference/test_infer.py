@@ -15,8 +15,8 @@ from jaxunshear import __version__
 from jaxunshear.config import targets
 from jaxunshear.config.data import PairedData, PoseData, Ranges
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.inference import infer
 from jaxunshear.models import posenet, unshearnet

@@ -7,8 +7,7 @@ from PIL import Image
 from skimage.filters import threshold_local
 from skimage.transform import resize_local_mean
 
-from jaxunshear.config.image import Camera, Nuisance, Preprocess
-from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.sensor import TACTIP_331, Camera, Nuisance, Preprocess
 from jaxunshear.errors import UserError
 from jaxunshear.metrics.errors import measure_pin_error
 from jaxunshear.perception import grey

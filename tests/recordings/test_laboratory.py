@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from jaxunshear import load_model
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.load import load_experiment
 from jaxunshear.data.recorded_contacts import compute_digest
 from jaxunshear.data.recordings import read_recordings

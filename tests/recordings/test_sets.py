@@ -10,8 +10,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.sensor import TACTIP_127
+from jaxunshear.config.sensor import TACTIP_127, Preprocess
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.pairing import compute_pose_gaps, find_nearest
 from jaxunshear.data.recorded_contacts import read_contacts

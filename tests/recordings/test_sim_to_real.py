@@ -14,9 +14,8 @@ from jaxunshear import load_model
 from jaxunshear.config import targets
 from jaxunshear.config.data import PairedData, PoseData, Ranges, Recorded
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.networks import PinPoseNet, PinUnshear, UnshearNet
-from jaxunshear.config.sensor import TACTIP_127
+from jaxunshear.config.sensor import TACTIP_127, Preprocess
 from jaxunshear.data.recorded_contacts import read_test_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import sim_to_real
@@ -30,7 +29,6 @@ from jaxunshear.evaluation.sim_to_real import (
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.readers import Predictions, make_frame_transforms
 from jaxunshear.inference.trained_model import TrainedModel
-from jaxunshear.serialization import to_builtins
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 from tests.helpers.commands import succeed
 from tests.helpers.models import change_weights, init, write_run

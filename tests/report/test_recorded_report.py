@@ -25,7 +25,6 @@ from jaxunshear.report.report import write_report
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
 from jaxunshear.run import print_summary
-from jaxunshear.serialization import to_builtins
 
 COUNT, KEPT = 24, 12
 ERRORS = {"partner": 0.9, "sheared": 4.0, "sheared_learnt": 1.5, "disentangled": 1.75}

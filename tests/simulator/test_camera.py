@@ -7,8 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.config.image import FITTED_CAMERA, FLUSH_CAMERA, Camera, Nuisance, Preprocess
-from jaxunshear.config.sensor import SENSORS, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH
+from jaxunshear.config.sensor import (
+    FITTED_CAMERA,
+    FLUSH_CAMERA,
+    SENSORS,
+    TACTIP_331,
+    TACTIP_331_FITTED,
+    TACTIP_331_FLUSH,
+    Camera,
+    Nuisance,
+    Preprocess,
+)
 from jaxunshear.simulator.camera import (
     compute_drift,
     compute_outer_fraction,

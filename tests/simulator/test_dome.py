@@ -13,13 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxunshear.config.reach import (
+from jaxunshear.config.sensor import (
+    SENSORS,
+    TACTIP_127,
+    TACTIP_331,
+    Sensor,
+    check_sensor,
     compute_contact_angle,
     compute_max_depth_mm,
     compute_reach_mm,
     compute_ring_arcs,
 )
-from jaxunshear.config.sensor import SENSORS, TACTIP_127, TACTIP_331, Sensor, check_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.simulator import elasticity
 from jaxunshear.simulator.dome import VERSION, compute_dome, load_dome, load_sensitivity

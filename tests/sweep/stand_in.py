@@ -21,16 +21,15 @@ from jaxunshear.code_version import read_source
 from jaxunshear.config.configs import describe_set
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import resolve_network
-from jaxunshear.config.registry import TRAINABLE
+from jaxunshear.config.networks import TRAINABLE
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.errors import UserError
-from jaxunshear.files import explain_os_error, read_json, write_json
+from jaxunshear.files import explain_os_error, read_json, to_builtins, write_json
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.sweep import Outcome
-from jaxunshear.serialization import to_builtins
 from jaxunshear.sweep import worker
 from jaxunshear.sweep.grid import format_training_name
 

@@ -19,11 +19,9 @@ from jaxunshear.code_version import read_source
 from jaxunshear.config.serialization import from_json
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
-from jaxunshear.files import read_json, write_json
-from jaxunshear.locks import hold_lock
+from jaxunshear.files import hold_lock, read_json, to_builtins, write_json
 from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.serialization import to_builtins
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.grid import list_cells, list_rows
 from jaxunshear.sweep.summary import format_table

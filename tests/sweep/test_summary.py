@@ -8,6 +8,7 @@ import pytest
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.sweep import Sweep
+from jaxunshear.files import to_builtins
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import Failure, Figure, Outcome, SweepResult
 from jaxunshear.serialization import to_builtins

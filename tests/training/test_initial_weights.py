@@ -17,7 +17,6 @@ from jaxunshear.config.network_config import resolve_network
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
-from jaxunshear.model_folders import RELEASED, load_settings
 from jaxunshear.models import unshearnet
 from jaxunshear.training import checkpoint, trainer
 from jaxunshear.training.provenance import (

@@ -4,8 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxunshear.config.image import Camera
-from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.sensor import TACTIP_331, Camera
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from verification.hyperelastic import neo_hookean
 from verification.model_error import compute_hencky_energy, measure_model_error

@@ -28,8 +28,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes
 from jaxunshear.inference.trained_model import TrainedModel, load_model
 from jaxunshear.models import layer_choice
-from jaxunshear.output_checks import check_new_folder
-from jaxunshear.protected_folders import check_outside
+from jaxunshear.output_checks import check_new_folder, check_outside
 
 if TYPE_CHECKING:
     from jaxunshear.apps.export.onnx_graph import ExportCamera

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED
+from jaxunshear.config.networks import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.config.targets import Targets
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.targets import RECORDED_FIELDS
 from jaxunshear.data.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError

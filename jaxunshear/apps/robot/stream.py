@@ -15,7 +15,7 @@ from typing import NamedTuple, TextIO
 import numpy as np
 
 from jaxunshear.apps.robot.frame_sources import SourceFrame
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import PROBES
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes

@@ -28,13 +28,12 @@ from jaxunshear.cli import main
 from jaxunshear.config import targets
 from jaxunshear.config.data import PairedData, PoseData, Ranges
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
-from jaxunshear.config.serialization import to_json
+from jaxunshear.config.sensor import Preprocess
+from jaxunshear.config.serialization import RELEASED, to_json
 from jaxunshear.data.recordings import read_image
 from jaxunshear.files import write_json
 from jaxunshear.inference.forward import make_forward
-from jaxunshear.model_folders import RELEASED
 from jaxunshear.models import pin_networks, posenet, unshearnet
 from jaxunshear.models.pin_networks import make_grid
 from jaxunshear.perception.preprocess import View, prepare_frame

@@ -12,8 +12,8 @@ from PIL import Image
 from jaxunshear.apps.robot import frame_sources
 from jaxunshear.apps.robot.frame_sources import SourceFrame, open_frames
 from jaxunshear.apps.robot.stream import make_steady_view, stream
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.load import load_experiment
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import UNSHEARED

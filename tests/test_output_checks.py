@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.protected_folders import check_outside, find_owner
+from jaxunshear.output_checks import check_outside, find_owner
 
 ROOT = Path(__file__).resolve().parents[1]
 WEIGHTS = ROOT / "jaxunshear" / "weights" / "standard"
@@ -70,8 +70,8 @@ def test_only_what_a_command_measured_is_written_anew(command, tmp_path):
         assert answer.code == 2 and "holds something else" in answer.err
         assert file.read_text() == held
     file.write_text(json.dumps(ROWS, indent=2))
-    assert command("doctor", image, "--json", file).code == 0
-    assert command("doctor", image, "--json", file).code == 0
+    for _ in range(2):
+        assert command("doctor", image, "--json", file).code == 0
     same = tmp_path / "a" / ".." / "rows.json"
     answer = command("validate", tmp_path, "--calibration", file, "--json", same)
     assert answer.code == 2 and "also what this command reads" in answer.err

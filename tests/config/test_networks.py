@@ -4,7 +4,7 @@ import ast
 from pathlib import Path
 
 import jaxunshear
-from jaxunshear.config.registry import (
+from jaxunshear.config.networks import (
     ALL_NETWORKS,
     NETWORKS,
     POSENETS,
@@ -43,7 +43,7 @@ def test_no_other_file_spells_a_networks_name():
     found = {
         (str(path.relative_to(PACKAGE)), node.value)
         for path in PACKAGE.rglob("*.py")
-        if path != PACKAGE / "config" / "registry.py"
+        if path != PACKAGE / "config" / "networks.py"
         for node in ast.walk(ast.parse(path.read_text()))
         if isinstance(node, ast.Constant) and node.value in names
     }

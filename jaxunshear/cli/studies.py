@@ -1,0 +1,208 @@
+"""Commands about recordings, finished runs, sensors and stimuli."""
+
+import argparse
+from pathlib import Path
+
+from jaxunshear.cli.program import (
+    DATA,
+    ROWS,
+    Command,
+    flag,
+    integer,
+    json_file,
+    path,
+    write_measurement,
+)
+from jaxunshear.config.serialization import load_settings
+from jaxunshear.errors import UserError
+from jaxunshear.files import to_builtins, write_bytes, write_json
+from jaxunshear.output_checks import check_not_among
+
+COMPARE_OUT = Path("runs/compare")
+
+
+def doctor(arguments: argparse.Namespace, command: str) -> int:
+    """Run the command; return 0, or 1 if no command can use the frames."""
+    from jaxunshear.doctor import check_recordings, describe
+
+    diagnosis = check_recordings(arguments.path)
+    print("\n".join(describe(diagnosis)))
+    write_measurement(arguments.json, command, to_builtins(diagnosis))
+    return 0 if diagnosis.usable else 1
+
+
+def calibrate(arguments: argparse.Namespace, command: str) -> int:
+    from jaxunshear.calibration.calibrate import calibrate
+
+    if arguments.out is not None:
+        check_not_among(arguments.recordings, arguments.out, "--out")
+    result = calibrate(arguments.recordings, arguments.out)
+    rows = result["rows"] + result["parameters"]
+    write_measurement(arguments.json, command, result | {"rows": rows})
+    return 0
+
+
+def validate(arguments: argparse.Namespace, command: str) -> int:
+    if arguments.out is not None:
+        check_not_among(arguments.recordings, arguments.out, "--out")
+    contacts, seed, calibration = arguments.contacts, arguments.seed, arguments.calibration
+    if contacts < 0:
+        raise UserError(f"--contacts {contacts}: use 1 or more, or 0 for all")
+    if seed < 0:
+        raise UserError(f"--seed {seed}: use 0 or more")
+    from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION, read_calibration
+    from jaxunshear.calibration.validate import validate
+
+    fitted = DEFAULT_CALIBRATION if calibration is None else read_calibration(calibration)
+    result = validate(arguments.recordings, fitted, contacts or None, seed, arguments.out)
+    write_measurement(arguments.json, command, {"seed": seed, **result})
+    return 0
+
+
+def report(arguments: argparse.Namespace, command: str) -> int:
+    if not (arguments.run / "results.json").is_file():
+        raise UserError(
+            f"{arguments.run} holds no results.json: name the folder of a finished run, "
+            "such as runs/demo"
+        )
+    from jaxunshear.report.report import write_report
+
+    print(write_report(arguments.run))
+    return 0
+
+
+def compare(arguments: argparse.Namespace, command: str) -> int:
+    from jaxunshear.compare import write_comparison
+
+    text, page = write_comparison(arguments.runs, arguments.out)
+    print(text)
+    print(f"page: {page}")
+    return 0
+
+
+def release(arguments: argparse.Namespace, command: str) -> int:
+    from jaxunshear.release import release
+
+    print(release(arguments.run, arguments.out))
+    return 0
+
+
+def ablate(arguments: argparse.Namespace, command: str) -> int:
+    from jaxunshear.evaluation import code_exchange, code_swaps, leakage, leakage_table
+
+    experiment = load_settings(arguments.run)
+    if arguments.leakage:
+        from jaxunshear.report.leakage_figure import plot_leakage
+
+        results = leakage.measure_leakage(experiment, arguments.run, arguments.data, command)
+        exchange = code_exchange.exchange_codes(experiment, arguments.run, arguments.data)
+        write_bytes(arguments.run / "leakage.png", plot_leakage(results, exchange))
+        print(leakage_table.format_table(results))
+        print(arguments.run / "leakage.png")
+    else:
+        results = code_swaps.ablate(experiment, arguments.run, arguments.data, command)
+        print(code_swaps.format_table(results["rows"]))
+    if arguments.json:
+        write_json(arguments.json, results)
+    return 0
+
+
+def catalogue(arguments: argparse.Namespace, command: str) -> int:
+    """List or draw the sensors or the stimuli."""
+    from jaxunshear.catalogue import draw, format_listing, list_names
+
+    kind, name = arguments.command, arguments.name
+    if arguments.action == "list":
+        if name or arguments.out:
+            raise UserError(
+                f"`list` takes nothing more; to draw: jaxunshear {kind} draw NAME --out FILE"
+            )
+        print(format_listing(kind))
+        return 0
+    if not name:
+        raise UserError(f"name what to draw: {', '.join(list_names(kind))}")
+    out = arguments.out or Path(f"{name}.png")
+    draw(kind, name, out)
+    print(out)
+    return 0
+
+
+RUN_DIR = path("run", "RUN_DIR", "for example runs/demo")
+CATALOGUE_OPTIONS = (
+    ("action", {"choices": ("list", "draw"), "nargs": "?", "default": "list"}),
+    ("name", {"metavar": "NAME", "nargs": "?", "help": "what to draw"}),
+    path("--out", "FILE", "PNG, SVG or PDF to draw to (default: NAME.png)"),
+)
+COMMANDS = (
+    Command(
+        "doctor",
+        "check a folder of recordings and suggest the next command",
+        doctor,
+        (
+            path("path", "PATH", "a folder of recordings, one above several, or an image"),
+            json_file("what was found, with command, machine and versions"),
+        ),
+    ),
+    Command(
+        "calibrate",
+        "fit camera, pins, friction and stiffness to recordings",
+        calibrate,
+        (
+            path("recordings", "RECORDINGS", "a folder of recordings"),
+            path("--out", "DIR", "folder for figures"),
+            json_file(ROWS),
+        ),
+    ),
+    Command(
+        "validate",
+        "simulate recorded contacts from their labels and compare the motion of every pin",
+        validate,
+        (
+            path("recordings", "RECORDINGS", "a folder of labelled recordings"),
+            path(
+                "--calibration",
+                "FILE",
+                "calibration.json of `calibrate` (default: the fitted preset)",
+            ),
+            integer("--contacts", "of each folder, at random; 0: all (400)", 400),
+            integer("--seed", "of the draw (0)", 0),
+            path("--out", "DIR", "folder for validate.png and validate.txt"),
+            json_file(ROWS),
+        ),
+    ),
+    Command("report", "write the HTML page of a finished run", report, (RUN_DIR,), computes=False),
+    Command(
+        "compare",
+        "finished runs side by side: settings that differ, scores with intervals, times",
+        compare,
+        (
+            path("runs", "RUN", "folders of runs; the first is the reference", nargs="+"),
+            path("--out", "DIR", f"where the page goes ({COMPARE_OUT})", default=COMPARE_OUT),
+        ),
+    ),
+    Command(
+        "release",
+        "make weights with a model card of a finished run, for `unshear` and `pose`",
+        release,
+        (
+            path("run", "RUN_DIR", "for example runs/standard"),
+            path("--out", "DIR", "a new folder; its name is the weights'", required=True),
+        ),
+    ),
+    Command(
+        "ablate",
+        "show what the decoders make of swapped, blanked and foreign codes "
+        "(the paper's appendix D)",
+        ablate,
+        (
+            RUN_DIR,
+            DATA,
+            flag("--leakage", "what each code holds that it should not, by probes"),
+            json_file(),
+        ),
+    ),
+    *(
+        Command(name, f"list or draw the {name}", catalogue, CATALOGUE_OPTIONS, computes=False)
+        for name in ("sensors", "stimuli")
+    ),
+)
