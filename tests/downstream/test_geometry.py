@@ -18,10 +18,7 @@ from jaxunshear.downstream.geometry import (
     interpolate_heights,
     interpolate_surface,
 )
-from jaxunshear.downstream.geometry_scores import (
-    compute_correlation,
-    estimate_recorded_heights,
-)
+from jaxunshear.downstream.geometry_scores import compute_correlation, estimate_recorded_heights
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.lattice import compute_rings, make_lattice
 from jaxunshear.perception.pin_drawing import draw_dots

@@ -15,11 +15,7 @@ from jaxunshear.data.chunks import render_images
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.servo_scores import score_trajectories
-from jaxunshear.inference.edge_methods import (
-    list_methods,
-    load_unshearers,
-    make_edge_estimators,
-)
+from jaxunshear.inference.edge_methods import list_methods, load_unshearers, make_edge_estimators
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.perception.pin_drawing import draw_dots

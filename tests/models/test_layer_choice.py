@@ -50,10 +50,7 @@ def everything(net, way, dtype):
             return sum(
                 jnp.sum(jnp.sin(jnp.arange(leaf.size)).reshape(leaf.shape) * leaf)
                 for leaf in leaves
-            ), (
-                outputs,
-                statistics,
-            )
+            ), (outputs, statistics)
 
         gradients, (outputs, statistics) = jax.jit(jax.grad(loss, has_aux=True))(
             variables["params"]

@@ -1,30 +1,25 @@
 """TensorBoard's event files hold what log.jsonl holds, also of a training that was stopped."""
 
 import struct
-import sys
-from pathlib import Path
 
 import numpy as np
 
 from jaxunshear.report.history import read_lines
 from jaxunshear.training.step import make_schedule
 from jaxunshear.training.tensorboard import list_scalars, open_events
-
-sys.path.insert(0, str(Path(__file__).parent))
-import small
+from tests.training import small
 
 
 def read(folder):
-    """Return the events of all files in a folder: records of a length, its check, the event, its check."""
+    """Return the events of a folder's files: records of a length, its check, the event, its check."""
     from tensorboardX.proto.event_pb2 import Event
 
     found = []
-    for path in sorted(folder.glob("events.out.tfevents.*")):
-        data = path.read_bytes()
-        while data:
-            (size,) = struct.unpack("<Q", data[:8])
-            found.append(Event.FromString(data[12 : 12 + size]))
-            data = data[16 + size :]
+    data = b"".join(file.read_bytes() for file in sorted(folder.glob("events.out.tfevents.*")))
+    while data:
+        (size,) = struct.unpack("<Q", data[:8])
+        found.append(Event.FromString(data[12 : 12 + size]))
+        data = data[16 + size :]
     return found
 
 
@@ -43,9 +38,8 @@ def test_a_training_writes_what_its_log_says(tmp_path):
     rate = make_schedule(small.TRAINING, 12, 4)
     assert len(lines) == 3 and found.keys() == {*list_scalars(lines[0]), "learning_rate"}
     for line in lines:
-        for tag, value in (
-            list_scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}
-        ).items():
+        scalars = list_scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}
+        for tag, value in scalars.items():
             assert (line["step"], np.float32(value)) in found[tag]
 
 

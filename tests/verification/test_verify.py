@@ -9,13 +9,7 @@ import pytest
 from tests.golden import make_runs
 from verification import elements, invariants, normal_contact, tamaas_comparison, tangential_contact
 from verification.half_space import HalfSpace, make_half_space
-from verification.verification_rows import (
-    Row,
-    Rows,
-    convert_row,
-    fit_order,
-    format_rows,
-)
+from verification.verification_rows import Row, Rows, convert_row, fit_order, format_rows
 from verification.verify import CHECKS, INCOMPRESSIBLE, run_verification
 
 
