@@ -46,8 +46,8 @@ def test_a_row_one_place_off_is_repaired():
 def test_a_hidden_side_stays_empty():
     found = moved()
     found = found[found[:, 0] < 100]
-    which = cKDTree(found).query(moved())
-    which = np.where(which[0] < 1e-9, which[1], -1)
+    off, nearest = cKDTree(found).query(moved())
+    which = np.where(off < 1e-9, nearest, -1)
     got = repair_identities(LATTICE, found, cKDTree(found), which)
     np.testing.assert_array_equal(got, which)
 

@@ -44,9 +44,8 @@ def test_identities(sensor, shift_px):
 
 def test_missing_and_extra_pins_are_counted():
     place = _flat(TACTIP_331)
-    found = np.concatenate(
-        [np.delete(_slid(place, 3.0), [0, 40, 200], axis=0), [[70.3, 66.1], [20.0, 40.0]]]
-    )
+    seen = np.delete(_slid(place, 3.0), [0, 40, 200], axis=0)
+    found = np.concatenate([seen, [[70.3, 66.1], [20.0, 40.0]]])
     track = track_pins(make_lattice(place), DetectedPins(found))
     # an extra pin may stand in for a missing neighbour
     assert track.missed <= 3 and track.extra >= 1
@@ -60,24 +59,22 @@ def test_scrambled_pins_are_not_sure():
         assert not track_pins(make_lattice(place), DetectedPins(pins)).identified
 
 
-def test_lattice_is_found_turned_and_shifted():
-    """Check that the lattice is fitted for any turn of the camera.
+def shuffle(place, rng, noise_px):
+    """Return four frames of the pins, in any order."""
+    count = len(place)
+    return [place[rng.permutation(count)] + rng.normal(0, noise_px, place.shape) for _ in range(4)]
 
-    Each pin is within a tenth of a pixel, up to the lattice's symmetry.
-    """
-    place = _flat(TACTIP_331) - 64
-    turned = place @ rotation_2d(-np.radians(17)) + [60.0, 66.0]
-    rng = np.random.default_rng(2)
-    frames = [turned[rng.permutation(331)] + rng.normal(0, 0.05, turned.shape) for _ in range(4)]
+
+def test_lattice_is_found_turned_and_shifted():
+    """Each pin is within a tenth of a pixel, up to the lattice's symmetry."""
+    turned = (_flat(TACTIP_331) - 64) @ rotation_2d(-np.radians(17)) + [60.0, 66.0]
+    frames = shuffle(turned, np.random.default_rng(2), 0.05)
     lattice = fit_lattice(frames, make_layout(TACTIP_331))
     off = np.min(np.linalg.norm(lattice.rest[:, None] - turned[None], axis=-1), axis=1)
     assert off.max() < 0.15
     np.testing.assert_allclose(lattice.centre, [60, 66], atol=0.1)
-    np.testing.assert_allclose(
-        np.linalg.norm(lattice.rest - lattice.centre, axis=-1),
-        RIM_PX / 10 * compute_rings(TACTIP_331),
-        atol=0.2,
-    )
+    radius, expected = lattice.rest - lattice.centre, RIM_PX / 10 * compute_rings(TACTIP_331)
+    np.testing.assert_allclose(np.linalg.norm(radius, axis=-1), expected, atol=0.2)
 
 
 def test_another_sensor_is_refused():
@@ -105,9 +102,6 @@ def test_noise_does_not_choose_which_pin_is_which(lattice, turn_deg):
         flat = np.stack(np.meshgrid(*[np.arange(11.0) - 5] * 2), axis=-1).reshape(-1, 2)
     flat = flat / np.linalg.norm(flat, axis=-1).max()
     place = 46 * flat @ rotation_2d(-np.radians(turn_deg)) + 64
-    rng = np.random.default_rng(0)
-    frames = [
-        place[rng.permutation(len(place))] + rng.normal(0, 0.15, place.shape) for _ in range(4)
-    ]
+    frames = shuffle(place, np.random.default_rng(0), 0.15)
     found = fit_lattice(frames, MarkerLayout("layout", flat, estimate_rings(flat), 360.0))
     np.testing.assert_allclose(found.rest, place, atol=0.5)

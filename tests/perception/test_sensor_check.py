@@ -33,25 +33,27 @@ FULL_VIEW = View((0, 0, 256, 256))
 @pytest.fixture(scope="module")
 def sets():
     """By sensor, 16 images (16, 128, 128) of it and what its models expect."""
-    return {
-        name: SimpleNamespace(
-            images=touched(sensor, camera, 16, seed=5),
-            expected=measure_sensor_appearance(
-                compute_rest_lattice(sensor, camera, Preprocess()).rest, 128
-            ),
-        )
-        for name, (sensor, camera) in SENSORS.items()
-    }
+    found = {}
+    for name, (sensor, camera) in SENSORS.items():
+        rest = compute_rest_lattice(sensor, camera, Preprocess()).rest
+        images, expected = touched(sensor, camera, 16, seed=5), measure_sensor_appearance(rest, 128)
+        found[name] = SimpleNamespace(images=images, expected=expected)
+    return found
+
+
+def estrange(kind, images, rng):
+    """Return what is made of each image, or in its place."""
+    return np.array([STRANGERS[kind](image, rng) for image in images])
 
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_known_images_are_plausible_also_turned_drifted_and_with_specks(sets, name):
     rng = np.random.default_rng(2)
     images, expected = sets[name].images, sets[name].expected
-    plain = [compute_plausibility(image, expected) for image in images]
-    other_day = [compute_plausibility(varied(image, rng), expected) for image in images]
-    assert np.median(plain) > 0.95 and np.mean(np.array(plain) > 0.5) > 0.9
-    assert np.median(other_day) > 0.9 and np.mean(np.array(other_day) > 0.5) > 0.8
+    plain = np.array([compute_plausibility(image, expected) for image in images])
+    other_day = np.array([compute_plausibility(varied(image, rng), expected) for image in images])
+    assert np.median(plain) > 0.95 and np.mean(plain > 0.5) > 0.9
+    assert np.median(other_day) > 0.9 and np.mean(other_day > 0.5) > 0.8
     assert judge_images(images, expected).ok and judge_images(images, expected).reason == ""
 
 
@@ -59,7 +61,7 @@ def test_known_images_are_plausible_also_turned_drifted_and_with_specks(sets, na
 def test_strangers_are_not(sets, kind):
     rng = np.random.default_rng(3)
     for name in ("331", "127"):
-        made = np.array([STRANGERS[kind](image, rng) for image in sets[name].images[:8]])
+        made = estrange(kind, sets[name].images[:8], rng)
         likely = [compute_plausibility(image, sets[name].expected) for image in made]
         assert np.median(likely) < 0.05, name
         assert not judge_images(made, sets[name].expected).ok
@@ -68,10 +70,8 @@ def test_strangers_are_not(sets, kind):
 @pytest.fixture(scope="module")
 def grey():
     """A frame (256, 256) in [0, 1] of the untouched sensor of 331 pins."""
-    draw = jax.jit(render_frame, static_argnums=(0, 1, 2))
-    return np.asarray(
-        draw(Camera(), TACTIP_331, Nuisance(), compute_pin_tips(TACTIP_331), jax.random.key(0))
-    )
+    draw, tips = jax.jit(render_frame, static_argnums=(0, 1, 2)), compute_pin_tips(TACTIP_331)
+    return np.asarray(draw(Camera(), TACTIP_331, Nuisance(), tips, jax.random.key(0)))
 
 
 def test_what_is_seen_is_where_the_pins_are(sets, grey):
@@ -100,12 +100,8 @@ def test_a_glance_sets_touching_pins_apart():
     rows, columns = np.mgrid[:128, :128]
     place = np.array([(28 + 10 * i, 28 + 10 * j) for i in range(8) for j in range(8)], float)
     place[place[:, 0] == 38] += [-4.5, 3]  # each of one column touches its neighbour, on a slant
-    white = (
-        np.min(
-            (columns - place[:, 0, None, None]) ** 2 + (rows - place[:, 1, None, None]) ** 2, axis=0
-        )
-        <= 3**2
-    )
+    x, y = place.T[..., None, None]
+    white = np.min((columns - x) ** 2 + (rows - y) ** 2, axis=0) <= 3**2
     found = detect_pins_fast(white.astype(np.uint8) * np.uint8(255))
     off = cKDTree(found).query(place)[0]
     assert len(found) == 64 and off.max() < 0.5
@@ -136,9 +132,7 @@ def test_reasons(sets):
     images, expected = sets["331"].images, sets["331"].expected
 
     def reason(kind):
-        return judge_images(
-            np.array([STRANGERS[kind](image, rng) for image in images]), expected
-        ).reason
+        return judge_images(estrange(kind, images, rng), expected).reason
 
     assert reason("white noise") == reason("scattered dots") == "dots are scattered, not a lattice"
     assert reason("blank") == "no pins are found"
@@ -152,9 +146,7 @@ def test_reasons(sets):
 
 def test_half_of_a_folder_is_enough(sets):
     images, expected = sets["331"].images[:4], sets["331"].expected
-    noise = np.array(
-        [STRANGERS["white noise"](image, np.random.default_rng(0)) for image in images]
-    )
+    noise = estrange("white noise", images, np.random.default_rng(0))
     assert judge_images(np.concatenate([images, noise]), expected).ok
     assert not judge_images(np.concatenate([images[:3], noise]), expected).ok
 

@@ -12,9 +12,8 @@ def band(count: int, seed: int = 0) -> sp.csr_matrix:
     generator = np.random.default_rng(seed)
     half = sp.random(count, count, density=0.1, rng=generator).tocoo()
     near = np.abs(half.row - half.col) < 40
-    half = sp.csr_matrix(
-        (half.data[near] - 0.5, (half.row[near], half.col[near])), shape=half.shape
-    )
+    entries = half.data[near] - 0.5, (half.row[near], half.col[near])
+    half = sp.csr_matrix(entries, shape=half.shape)
     order = generator.permutation(count)
     return (half @ half.T + 0.1 * sp.eye(count)).tocsr()[order][:, order]
 
@@ -23,9 +22,8 @@ def band(count: int, seed: int = 0) -> sp.csr_matrix:
 def test_it_solves(count):
     matrix = band(count)
     right = np.random.default_rng(1).normal(size=(count, 3))
-    np.testing.assert_allclose(
-        factorise(matrix)(right), np.linalg.solve(matrix.toarray(), right), rtol=1e-8, atol=1e-9
-    )
+    expected = np.linalg.solve(matrix.toarray(), right)
+    np.testing.assert_allclose(factorise(matrix)(right), expected, rtol=1e-8, atol=1e-9)
 
 
 def test_parts_that_do_not_couple():

@@ -5,7 +5,6 @@ import pytest
 
 from jaxunshear.simulator.elasticity import (
     Pins,
-    assemble_stiffness,
     compute_isotropic_stiffness,
     compute_response,
     compute_ring_loads,
@@ -42,31 +41,6 @@ def test_the_half_space_is_a_half_ball():
     assert compute_volume(mesh) == pytest.approx(2 / 3 * np.pi * radius**3, rel=1e-3)
 
 
-# displacements U, V, W of harmonic m at r, z that need no force inside a body, and the share of the
-# largest force that curved mid-sides and reduced integration leave
-RIGID, CURVED = 1e-9, 2e-2
-FIELDS = {
-    "translation in x": (1, lambda r, z: (1 + 0 * r, -1 + 0 * r, 0 * r), RIGID),
-    "translation in z": (0, lambda r, z: (0 * r, 0 * r, 1 + 0 * r), RIGID),
-    "rotation about y": (1, lambda r, z: (z, -z, -r), RIGID),
-    "stretch in z": (0, lambda r, z: (0 * r, 0 * r, z), CURVED),
-    "radial stretch": (0, lambda r, z: (r, 0 * r, 0 * r), CURVED),
-    "twist": (0, lambda r, z: (0 * r, r * z, 0 * r), CURVED),
-    "stretch x, shrink y": (2, lambda r, z: (r, -r, 0 * r), CURVED),
-}
-
-
-@pytest.mark.parametrize("name", FIELDS)
-def test_patch(dome, name):
-    m, compute_field, tolerance = FIELDS[name]
-    r, z = dome.nodes.T
-    materials = np.broadcast_to(compute_isotropic_stiffness(1.0, 0.3), (len(dome.elements), 6, 6))
-    stiffness = assemble_stiffness(dome, materials).compute_harmonic(m)
-    force = (stiffness @ np.stack(compute_field(r, z), -1).ravel()).reshape(-1, 3)
-    inside = (np.hypot(r, 20 - z) < 20 - 1e-6) & (z < 20 - 1e-6)
-    assert np.abs(force[inside]).max() < tolerance * max(1, np.abs(force).max())
-
-
 def test_rings_carry_one_newton_and_stand_on_the_sphere():
     fine = make_dome_mesh(20.0, 1.0, 1.0)
     loads, places = compute_ring_loads(fine, np.arange(9) * 2.5)
@@ -94,9 +68,8 @@ def load_dome(h, force):
 def test_finer_meshes_agree_ever_better():
     force, sizes = [0.5, 0.0, 1.0], (1.5, 0.75, 0.4)
     nodes, pins = load_dome(0.25, force)
-    assert np.all(nodes.reshape(-1, 3)[0, [0, 2]] > 0) and np.all(
-        pins.reshape(-1, 3)[0, [0, 2]] > 0
-    )
+    for moved in (nodes, pins):
+        assert np.all(moved[[0, 2]] > 0)
     errors = [
         (np.linalg.norm(w - nodes) / np.linalg.norm(nodes), np.linalg.norm(g - pins))
         for w, g in (load_dome(h, force) for h in sizes)

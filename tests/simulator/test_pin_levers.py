@@ -65,9 +65,8 @@ def compute_smooth_field(m, r, z):
     share, height = r / 20, 1 + z / 20
     around = share ** abs(m - 1) * (1 if m else 0.4)
     beyond = share ** (m + 1)
-    return np.stack(
-        [(around + beyond) * height, (beyond - around) * height, share**m * height**2], -1
-    )
+    both = (around + beyond) * height, (beyond - around) * height
+    return np.stack([*both, share**m * height**2], -1)
 
 
 def turn_to_xyz(radial, around, up, theta):
@@ -86,9 +85,8 @@ def test_pins_follow_the_normal_of_the_deformed_face(m):
 
     def place_face(alpha, theta, amplitude):
         r, z = 19 * np.sin(alpha), 20 - 19 * np.cos(alpha)
-        return turn_to_xyz(r, 0.0, z, theta) + amplitude * make_wave(
-            compute_smooth_field(m, r, z), theta
-        )
+        wave = make_wave(compute_smooth_field(m, r, z), theta)
+        return turn_to_xyz(r, 0.0, z, theta) + amplitude * wave
 
     def place_tip(alpha, theta, amplitude, step=1e-4):
         ahead, behind = (place_face(alpha + h, theta, amplitude) for h in (step, -step))
@@ -100,7 +98,5 @@ def test_pins_follow_the_normal_of_the_deformed_face(m):
     alpha, theta = np.array([0.3, 0.6, 0.9]), 0.4
     field = compute_smooth_field(m, *mesh.nodes.T).reshape(-1, 1)
     here = make_wave(stand_pins(mesh, alpha).motion(field, m).reshape(-1, 3), theta)
-    there = np.stack(
-        [(place_tip(a, theta, 1e-4) - place_tip(a, theta, -1e-4)) / 2e-4 for a in alpha]
-    )
+    there = np.stack([place_tip(a, theta, 1e-4) - place_tip(a, theta, -1e-4) for a in alpha]) / 2e-4
     np.testing.assert_allclose(here, there, atol=2e-3 * np.abs(there).max())
