@@ -12,6 +12,16 @@ from jaxunshear.simulator.shapes import make_disk
 from jaxunshear.simulator.stimuli import STIMULI, Stimulus, compute_signed_distance
 
 
+@pytest.fixture
+def small():
+    return trace_contour(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
+
+
+def place(angle, radius=20.0):
+    """Return places (N, 2) at angles about the middle of the small disk, in its target frame."""
+    return radius * np.stack([np.cos(angle), np.sin(angle)], -1) - [20, 0]
+
+
 def test_a_disk_s_outline():
     contour = trace_contour(STIMULI["disk"])
     assert contour.length == pytest.approx(2 * np.pi * 50, rel=1e-4)
@@ -27,33 +37,24 @@ def test_a_disk_s_outline():
     "name", [pytest.param("flower", marks=pytest.mark.long), "leaf", "spiral_1"]
 )
 def test_outlines_lie_on_the_edge_and_close(name):
-    contour = trace_contour(STIMULI[name])
-    assert (
-        np.abs(compute_signed_distance(STIMULI[name], contour.points.astype(np.float32))).max()
-        < 0.02
-    )
-    gaps = np.linalg.norm(
-        np.diff(np.concatenate([contour.points, contour.points[:1]]), axis=0), axis=-1
-    )
-    assert gaps.max() < 0.2
-    x, y = contour.points.T
-    area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
-    assert area > 0
+    points = trace_contour(STIMULI[name]).points
+    distance = compute_signed_distance(STIMULI[name], points.astype(np.float32))
+    assert np.abs(distance).max() < 0.02
+    assert np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=-1).max() < 0.2
+    x, y = points.T
+    assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0  # twice the area
 
 
-def test_off_and_advance():
-    contour = trace_contour(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
+def test_off_and_advance(small):
     angle = np.radians([10.0, 90.0])
-    xy = np.stack([22 * np.cos(angle) - 20, 22 * np.sin(angle)], -1)
-    np.testing.assert_allclose(measure_contour_distances(contour, xy), 2, atol=0.01)
-    arc = update_arc_positions(contour, np.array([3.0, 31.0]), xy, 3.0)
+    xy = place(angle, 22.0)
+    np.testing.assert_allclose(measure_contour_distances(small, xy), 2, atol=0.01)
+    arc = update_arc_positions(small, np.array([3.0, 31.0]), xy, 3.0)
     np.testing.assert_allclose(arc, 20 * angle, atol=0.1)
 
 
-def test_arcs_go_round_and_round():
-    contour = trace_contour(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
-    arc, xy = np.array([0.0]), None
+def test_arcs_go_round_and_round(small):
+    arc = np.array([0.0])
     for angle in np.radians(np.arange(0, 721, 5.0)):
-        xy = np.array([[20 * np.cos(angle) - 20, 20 * np.sin(angle)]])
-        arc = update_arc_positions(contour, arc, xy, 3.0)
-    assert arc[0] == pytest.approx(2 * contour.length, abs=0.2)
+        arc = update_arc_positions(small, arc, place(np.array([angle])), 3.0)
+    assert arc[0] == pytest.approx(2 * small.length, abs=0.2)
