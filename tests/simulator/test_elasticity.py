@@ -1,8 +1,10 @@
-"""Elements by fields whose answer is known, the condensed compliance by its loads and orders."""
+"""The condensed compliance by its loads and orders; the block solver against a dense one."""
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
+from jaxunshear.simulator.cholesky import factorise
 from jaxunshear.simulator.elasticity import (
     Pins,
     compute_isotropic_stiffness,
@@ -87,3 +89,33 @@ def test_flat_punch_stiffness(half_space):
     force = np.linalg.solve(w, np.full(len(inside), 1e-3))
     radius = 0.9 + 0.09 / 2  # the last ring's hat reaches half a spacing beyond it
     assert force.sum() == pytest.approx(2 * radius * half_space.normal_modulus * 1e-3, rel=0.05)
+
+
+def band(count: int, seed: int = 0) -> sp.csr_matrix:
+    """Positive definite, with couplings up to 40 apart, shuffled."""
+    generator = np.random.default_rng(seed)
+    half = sp.random(count, count, density=0.1, rng=generator).tocoo()
+    near = np.abs(half.row - half.col) < 40
+    entries = half.data[near] - 0.5, (half.row[near], half.col[near])
+    half = sp.csr_matrix(entries, shape=half.shape)
+    order = generator.permutation(count)
+    return (half @ half.T + 0.1 * sp.eye(count)).tocsr()[order][:, order]
+
+
+@pytest.mark.parametrize("count", [1, 7, 64, 500])
+def test_a_factorised_matrix_solves(count):
+    matrix = band(count)
+    right = np.random.default_rng(1).normal(size=(count, 3))
+    expected = np.linalg.solve(matrix.toarray(), right)
+    np.testing.assert_allclose(factorise(matrix)(right), expected, rtol=1e-8, atol=1e-9)
+
+
+def test_parts_that_do_not_couple():
+    matrix = sp.block_diag([band(100), band(90, 1)]).tocsr()
+    right = np.ones((190, 1))
+    np.testing.assert_allclose(matrix @ factorise(matrix)(right), right, atol=1e-9)
+
+
+def test_a_matrix_that_is_not_definite_is_refused():
+    with pytest.raises(np.linalg.LinAlgError):
+        factorise((band(200) - 10 * sp.eye(200)).tocsr())

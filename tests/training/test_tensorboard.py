@@ -1,10 +1,15 @@
-"""TensorBoard's event files hold what log.jsonl holds, also of a training that was stopped."""
+"""Beside the steps of a training: TensorBoard's event files, and batches drawn in advance."""
 
+import contextlib
+import itertools
 import struct
+import threading
 
 import numpy as np
+import pytest
 
 from jaxunshear.report.history import read_lines
+from jaxunshear.training.prefetch import prefetch
 from jaxunshear.training.step import make_schedule
 from jaxunshear.training.tensorboard import list_scalars, open_events
 from tests.training import small
@@ -56,3 +61,26 @@ def test_without_the_extra_nothing_is_written(tmp_path, absent):
     with open_events(tmp_path, 0, lambda step: 0.5) as log:
         log({"step": 8})
     assert not list(tmp_path.iterdir())
+
+
+def test_in_order_and_one_ahead_in_a_thread_of_their_own():
+    drawn, threads = [], set()
+
+    def put(number):
+        drawn.append(number)
+        threads.add(threading.get_ident())
+        return -number
+
+    with contextlib.closing(prefetch(itertools.count(), put)) as stream:
+        assert list(itertools.islice(stream, 5)) == [0, -1, -2, -3, -4]
+    assert (
+        drawn == [0, 1, 2, 3, 4, 5] and len(threads) == 1 and threading.get_ident() not in threads
+    )
+    assert not any(thread.ident in threads for thread in threading.enumerate())
+
+
+def test_what_drawing_raises_comes_after_the_batches_before_it():
+    stream = prefetch((1 / (3 - number) for number in itertools.count()), float)
+    assert [next(stream) for _ in range(3)] == [1 / 3, 1 / 2, 1.0]
+    with pytest.raises(ZeroDivisionError):
+        next(stream)
