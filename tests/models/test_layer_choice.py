@@ -12,10 +12,9 @@ from flax import linen as nn
 from jaxunshear.config.networks import PinUnshear, PoseNet, UNet, UnshearNet
 from jaxunshear.environment import KERNELS_VARIABLE, check_environment
 from jaxunshear.errors import UserError
-from jaxunshear.models import layer_choice, pin_networks, posenet, registry, unshearnet
+from jaxunshear.models import layer_choice, pin_networks, registry
 from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.layers import ConvTranspose
-from jaxunshear.training.trainer import get_compile_options
 from tests.helpers.convolutions import check_same_function, draw_normal
 
 WIDTHS = (16, 16, 32)
@@ -31,6 +30,10 @@ def fresh(net, key):
     return registry.get_functions(net).init(net, registry.InitFacts(outputs=3), key)
 
 
+def get_use(net):
+    return registry.predict if registry.get_functions(net).predict else registry.unshear
+
+
 def use_in_training(net, variables, images):
     """Return outputs, and the new running statistics."""
     functions = registry.get_functions(net)
@@ -41,7 +44,6 @@ def use_in_training(net, variables, images):
 
 def everything(net, way, dtype):
     """Variables, outputs in training and in use, statistics, gradients of all parameters."""
-    use = registry.predict if registry.get_functions(net).predict else registry.unshear
     with layer_choice.use_layers(way):
         variables = jax.jit(lambda key: fresh(net, key))(jax.random.key(0))
         variables = jax.tree.map(lambda x: x.astype(dtype), variables)
@@ -54,7 +56,7 @@ def everything(net, way, dtype):
             return sum(map(jnp.vdot, waves, leaves)), found
 
         gradients, found = jax.jit(jax.grad(loss, has_aux=True))(variables["params"])
-        used = jax.jit(lambda given, seen: use(net, given, seen))(variables, images)
+        used = jax.jit(partial(get_use(net), net))(variables, images)
     return jax.tree.map(np.asarray, (variables, *found, used, gradients))
 
 
@@ -134,38 +136,14 @@ def test_the_switch_is_one_variable(monkeypatch):
             check()
 
 
-UNSHEAR = UnshearNet(size=32, widths=(4, 8, 8), pose_channels=6, shear_channels=5)
-POSE = PoseNet(size=32, widths=(4, 8, 8, 8, 8), hidden=8)
-
-
-def unshear(variables, images):
-    return unshearnet.unshear(UNSHEAR, variables, images)
-
-
-def pose_init(net, key):
-    return posenet.init(net, 5, key)
-
-
-def predict(variables, images):
-    return posenet.predict(POSE, variables, images)
-
-
-@pytest.mark.parametrize(
-    ("run", "init", "net"),
-    [(unshear, unshearnet.init, UNSHEAR), (predict, pose_init, POSE)],
-    ids=["unshear", "posenet"],
-)
-def test_ready_networks_answer_alike_and_take_images_alone(run, init, net):
-    variables = jax.jit(init, static_argnums=0, compiler_options=get_compile_options())(
-        net, jax.random.key(0)
-    )
-    images = np.random.default_rng(0).random((2, 32, 32, 1), np.float32)
+@pytest.mark.parametrize("name", ["disentangled", "posenet"])
+def test_networks_with_constant_weights_answer_alike_and_take_images_alone(name):
+    net, images = NETS[name], np.random.default_rng(0).random((2, 32, 32, 1), np.float32)
+    variables = jax.jit(partial(fresh, net))(jax.random.key(0))
+    run = partial(get_use(net), net)
     prepared, plain = jit_for_inference(run, variables), jax.jit(run)
     np.testing.assert_allclose(prepared(images), plain(variables, images), rtol=1e-5, atol=1e-6)
-    compiled = prepared.lower(images).compile()
+    compiled, other = prepared.lower(images).compile(), plain.lower(variables, images).compile()
     assert len(re.findall(r" parameter\(\d+\)", compiled.as_text().split("ENTRY")[1])) == 1
     # the first and last kernels, spread by einsums on every call, are no longer part of the work
-    assert (
-        compiled.cost_analysis()["flops"]
-        < plain.lower(variables, images).compile().cost_analysis()["flops"]
-    )
+    assert compiled.cost_analysis()["flops"] < other.cost_analysis()["flops"]

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.training import checkpoint
 from jaxunshear.training.finite_check import check_state, check_terms
 from jaxunshear.training.step import State
 
@@ -53,15 +52,6 @@ def test_broken_examples_are_named_and_many_are_cut_short(tmp_path):
     said = line(tmp_path, {"patch": np.nan}, batch)
     assert "in image of examples 2, 9; pose of examples 0, 1, 2, 3, 4, 5, 6, 7, ...;" in said
     assert "fix the data" in said and "learning_rate" not in said
-
-
-def test_what_is_kept_is_said(tmp_path):
-    broken = {"patch": np.nan}
-    assert "no checkpoint was written yet" in line(tmp_path, broken)
-    for step, kept in ((4, "step 4 is"), (6, "step 6 and the better one of step 4 is")):
-        state = {"average": {"params": {"E": jnp.ones(2)}}}
-        checkpoint.save(tmp_path / "run", step, state, {"best_step": 4, "history": []})
-        assert f"the checkpoint of {kept} kept;" in line(tmp_path, broken)
 
 
 @pytest.mark.parametrize("part", ["params", "batch_stats", "optimiser", "average"])
