@@ -226,9 +226,8 @@ def test_the_grid_is_as_fine_as_the_pins(rings):
     assert grid.shape == (len(rest), (2 * rings) ** 2) and grid.dtype == np.float32
     inside = grid.any(axis=0)
     assert 0.6 < inside.mean() < 0.9  # a hexagon's share of the square about it
-    np.testing.assert_allclose(
-        grid.sum(axis=0)[inside], 1, atol=1e-5
-    )  # a shift of all pins is that shift everywhere
+    # a shift of all pins is that shift everywhere
+    np.testing.assert_allclose(grid.sum(axis=0)[inside], 1, atol=1e-5)
 
 
 def test_a_smooth_field_comes_out_at_its_places():
@@ -240,7 +239,6 @@ def test_a_smooth_field_comes_out_at_its_places():
         return np.sin(xy[:, 0] / 30) + 0.02 * xy[:, 1]
 
     error = np.abs(field(rest) @ grid - field(at))[inside]
-    beside = (
-        np.linalg.norm(at[inside][:, None] - rest, axis=-1).min(axis=1) < 0.6 * 7.0
-    )  # others are beyond the last pins
+    # others are beyond the last pins
+    beside = np.linalg.norm(at[inside][:, None] - rest, axis=-1).min(axis=1) < 0.6 * 7.0
     assert error[beside].max() < 0.04 and error.max() < 0.2

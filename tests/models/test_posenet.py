@@ -1,5 +1,7 @@
 """PoseNet: shapes, units there and back, independence of the batch."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,12 +26,8 @@ def test_targets_and_units_are_inverse():
     assert targets.shape == (50, 5)
     assert np.all((targets >= 0) & (targets <= 1))
     back = posenet.unscale_outputs(targets, TARGETS)
-    true = {
-        "x_mm": pose[:, 0],
-        "yaw_deg": pose[:, 2],
-        "edge_mm": edge[:, 0],
-        "edge_deg": edge[:, 1],
-    }
+    true = {"x_mm": pose[:, 0], "yaw_deg": pose[:, 2]}
+    true |= {"edge_mm": edge[:, 0], "edge_deg": edge[:, 1]}
     for name, values in true.items():
         np.testing.assert_allclose(back[name], values, atol=1e-5 if "mm" in name else 1e-3)
 
@@ -68,9 +66,7 @@ def test_outputs_lie_between_zero_and_one_and_do_not_depend_on_the_batch(net):
     assert outputs.shape == (3, 5)
     assert np.all((outputs > 0) & (outputs < 1))
     np.testing.assert_allclose(predict(variables, images[1:2])[0], outputs[1], atol=1e-6)
-    trained, stats = jax.eval_shape(
-        lambda v, x: posenet.predict_training(net, v, x), variables, images
-    )
+    trained, stats = jax.eval_shape(partial(posenet.predict_training, net), variables, images)
     assert trained.shape == (3, 5)
     assert jax.tree.structure(stats) == jax.tree.structure(variables["batch_stats"])
 

@@ -141,11 +141,6 @@ def test_sizes_that_do_not_fit_are_refused_by_name(wrong):
         unshearnet.init(UnshearNet(**wrong), KEY)
 
 
-def test_a_wrong_image_size_is_refused(variables):
-    with pytest.raises((TypeError, ValueError)):
-        unshearnet.unshear(NET, variables, jnp.zeros((1, 30, 30, 1)))
-
-
 def test_codes_that_are_apart_are_numbers_without_place(apart, images):
     assert set(apart["params"]) == {"E", "ES", "pose", "shear", "DC", "DS"}
     z_p, z_s = unshearnet.encode(APART, apart, images)

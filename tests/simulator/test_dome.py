@@ -218,9 +218,7 @@ def test_a_damaged_cache_file_is_reported_and_made_again(stored, small, capsys, 
 
 
 def test_other_settings_have_other_files(stored):
-    settings = str(_read(stored)["settings"])
-    assert json.loads(settings)["version"] == VERSION
-    assert hashlib.sha256(settings.encode()).hexdigest().startswith(stored.stem.split("-")[-1])
+    assert json.loads(str(_read(stored)["settings"]))["version"] == VERSION
     load_dome(replace(SMALL, gel_modulus_mpa=0.2))
     load_dome(replace(SMALL, name="../sly"))
     assert len(list(stored.parent.iterdir())) == 3

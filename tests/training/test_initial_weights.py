@@ -26,6 +26,7 @@ from jaxunshear.training.initial_weights import (
     replace_weights,
     start_folder,
 )
+from tests.helpers.models import drop_parts
 from tests.training import small
 
 
@@ -35,11 +36,8 @@ def tree(value, **shapes):
 
 def test_what_both_have_is_taken_and_nothing_else():
     found = replace_weights(tree(0.0, E=(2, 3), DS=(4,)), tree(1.0, E=(2, 3), other=(5,)))
-    jax.tree.map(
-        np.testing.assert_array_equal,
-        found,
-        {"params": {"E": {"kernel": np.ones((2, 3))}, "DS": {"kernel": np.zeros(4)}}},
-    )
+    expected = {"E": {"kernel": np.ones((2, 3))}, "DS": {"kernel": np.zeros(4)}}
+    jax.tree.map(np.testing.assert_array_equal, found, {"params": expected})
 
 
 @pytest.mark.parametrize(
@@ -144,10 +142,7 @@ def trained(folder, start):
 def test_a_training_goes_on_from_released_weights_and_knows_which(tmp_path):
     """Those hold E, the pose code and DC: the rest is as fresh as without them."""
     there = unshearnet.init(small.NET, jax.random.key(5))
-    released = {
-        kind: {m: v for m, v in parts.items() if m not in ("shear", "DS")}
-        for kind, parts in there.items()
-    }
+    released = drop_parts(there, "shear", "DS")
     trained(tmp_path / "started", InitialWeights(released, "of these"))
     trained(tmp_path / "fresh", None)
     found, fresh = (

@@ -30,17 +30,15 @@ def test_crops_reach_every_place_that_fits_and_no_other():
     corners = distances.sample_corners(jax.random.key(1), 2, 5000, 24, 20)
     for axis in (0, 1):
         assert set(np.asarray(corners[..., axis]).ravel()) == set(range(5))
-    np.testing.assert_array_equal(
-        distances.count_crop_coverage(corners, 24, 20).sum((1, 2)), 5000 * 400
-    )
+    counts = distances.count_crop_coverage(corners, 24, 20)
+    np.testing.assert_array_equal(counts.sum((1, 2)), 5000 * 400)
 
 
 def test_one_crop_of_the_full_image_is_the_mean_difference(pair):
     a, b = pair
     counts = distances.count_crop_coverage(jnp.zeros((3, 1, 2), jnp.int32), 24, 24)
-    np.testing.assert_allclose(
-        distances.compute_patch_loss(a, b, counts), np.abs(a - b).mean((1, 2, 3)), rtol=1e-5
-    )
+    found = distances.compute_patch_loss(a, b, counts)
+    np.testing.assert_allclose(found, np.abs(a - b).mean((1, 2, 3)), rtol=1e-5)
 
 
 def test_squared_losses(pair):
@@ -48,10 +46,9 @@ def test_squared_losses(pair):
     expected = ((np.asarray(a) - np.asarray(b)) ** 2).mean((1, 2, 3))
     np.testing.assert_allclose(distances.compute_supervised_loss(a, b), expected, rtol=1e-5)
     np.testing.assert_allclose(distances.compute_supervised_loss(a, a), 0)
-    np.testing.assert_allclose(
-        distances.compute_pose_loss(jnp.ones((2, 5)), jnp.zeros((2, 5)), (1.0, 1.0, 4.0, 1.0, 1.0)),
-        1.6,
-    )
+    weights = (1.0, 1.0, 4.0, 1.0, 1.0)
+    found = distances.compute_pose_loss(jnp.ones((2, 5)), jnp.zeros((2, 5)), weights)
+    np.testing.assert_allclose(found, 1.6)
 
 
 PARAMS = {

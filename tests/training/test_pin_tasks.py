@@ -10,7 +10,6 @@ from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.config.targets import make_label_targets, make_slide_targets
 from jaxunshear.config.training import POSENET_TRAINING, Training
-from jaxunshear.data.factorial import OTHER, SWAPPED
 from jaxunshear.models.distances import compute_pin_distance
 from jaxunshear.models.pin_networks import encode, predict, unshear
 from jaxunshear.models.registry import InitFacts
@@ -63,10 +62,6 @@ def batch(seed=0):
     names = ("canonical_pins", "sheared_pins")
     moved = {name: np.float32(REST + rng.normal(0, 1, (6, 19, 2))) for name in names}
     return moved | {"pins": moved["sheared_pins"], "pose": POSES}
-
-
-def teacher(pins):
-    return jax.nn.sigmoid(pins[:, :3, 0] - 50)
 
 
 @pytest.mark.parametrize(
@@ -135,19 +130,6 @@ def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
     assert np.any(other["rendered_pose"] != named["rendered_pose"])
 
 
-@pytest.mark.parametrize("loss", ["pose_tap", "pose_label"])
-def test_a_teacher_asks_for_the_true_pose_or_the_partners(loss):
-    supervision = Supervision(TARGETS, teacher=teacher)
-    _, task, variables = make_task(name_losses(**{loss: 1.0}), supervision)
-    given = batch()
-    first, moved, turned = (
-        task.validate(variables, given | more)[loss]
-        for more in ({}, {"canonical_pins": given["canonical_pins"] + 3}, {"pose": POSES[::-1]})
-    )
-    assert np.any(moved != first) == (loss == "pose_tap")
-    assert np.any(turned != first) == (loss == "pose_label")
-
-
 def test_what_has_no_weight_or_no_sure_pins_teaches_nothing():
     _, task, variables = make_task()
     sure, weight = np.array([1, 0, 1, 1, 0, 1]), np.float32([2, 2, 1, 0, 1, 1])
@@ -208,32 +190,3 @@ def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
     assert list_taught_parts(slope) == {"ES", "shear"}
     assert not np.any(slope["shear"]["kernel"][:, 3])  # a fourth number is free
     assert not list_taught_parts(differentiate(params, np.full_like(felt, np.nan)))
-
-
-def test_exchanged_codes_are_taught_if_partners_are_given():
-    weights = {"counterfactual": 2.0, "code_agreement": 0.5}
-    _, task, variables = make_task(name_losses(**weights), apart=True)
-    assert {name: task.weights[name] for name in weights} == weights
-    given = batch()
-    slides = given["sheared_pins"]
-    partners = {OTHER: batch(1)["sheared_pins"], SWAPPED: batch(2)["sheared_pins"]}
-
-    def compute_terms(more, task=task):
-        return task.terms(variables, given | more, KEY)[0]
-
-    # without partners a slide's pose code is to agree with its tap's
-    assert set(compute_terms({})) == {*PAIRS.losses, "code_agreement"}
-    tap = task.validate(variables, given | {"sheared_pins": given["canonical_pins"]})
-    assert np.all(tap["code_agreement"] == 0)
-    terms = compute_terms(partners)
-    assert set(terms) == {*PAIRS.losses, *weights}
-    assert all(value.shape == (6,) for value in terms.values())
-    still, again = (task.validate(variables, given | partners) for _ in range(2))
-    np.testing.assert_array_equal(still["counterfactual"], again["counterfactual"])
-    assert np.all(still["code_agreement"] > 0)
-    alike = task.validate(variables, given | {OTHER: slides, SWAPPED: slides})
-    np.testing.assert_allclose(alike["counterfactual"], alike["reconstruction"], rtol=1e-5)
-    assert np.all(alike["code_agreement"] == 0)
-    for loss in weights:  # nothing is drawn that has no weight
-        _, alone, _ = make_task(name_losses(**{loss: 0.5}), apart=True)
-        assert set(compute_terms(partners, alone)) == {*PAIRS.losses, loss}

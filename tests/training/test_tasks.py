@@ -8,11 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import UNet
-from jaxunshear.config.targets import make_slide_targets
 from jaxunshear.errors import UserError
-from jaxunshear.models import distances, posenet, unshearnet
+from jaxunshear.models import distances, posenet
 from jaxunshear.models.registry import unshear
 from jaxunshear.training.tasks import Supervision, make_unshear_task
 from tests.helpers.gradients import list_taught_parts
@@ -39,11 +37,8 @@ def make_task(teacher, net=small.NET, training=BY_TAP):
     """Return a task, its variables, and its terms as a function of a batch."""
     task = make_unshear_task(net, training, Supervision(small.TARGETS, teacher=teacher))
     variables = jax.jit(task.init)(jax.random.key(0))
-    return (
-        task,
-        variables,
-        jax.jit(lambda batch: task.terms(variables, batch, jax.random.key(2))[0]),
-    )
+    terms = jax.jit(lambda batch: task.terms(variables, batch, jax.random.key(2))[0])
+    return task, variables, terms
 
 
 def scale(images):
@@ -113,29 +108,31 @@ def test_a_weight_takes_a_teacher_and_targets(teacher, training):
         make_unshear_task(small.NET, training, Supervision(teacher=teacher))
 
 
-def test_codes_that_are_apart_learn_from_partners_and_from_the_slide():
-    net = replace(small.NET, apart=True)
-    supervision = Supervision(slides=make_slide_targets(Ranges(move_mm=2.0)))
-    weights = {"counterfactual": 2.0, "code_agreement": 0.5, "slide": 3.0}
-    training = replace(small.TRAINING, losses=PLAIN | weights)
-    task = make_unshear_task(net, training, supervision)
+def test_exchanged_codes_are_taught_if_partners_are_given():
+    net, batch = replace(small.NET, apart=True), small.pair(3, 4)
+    weights = {"counterfactual": 2.0, "code_agreement": 0.5}
+
+    def make(**weights):
+        """Return a task and its terms as a function of a batch."""
+        task = make_unshear_task(net, replace(small.TRAINING, losses=PLAIN | weights))
+        return task, jax.jit(lambda batch: task.terms(variables, batch, jax.random.key(2))[0])
+
+    variables = jax.jit(make()[0].init)(jax.random.key(0))
+    task, compute_terms = make(**weights)
     assert {name: task.weights[name] for name in weights} == weights
-    variables, given = jax.jit(task.init)(jax.random.key(0)), small.pair(3, 4)
-    slide = {"felt": np.zeros((4, 2), np.float32)}
-    same = given | slide | {"other": given["sheared"], "swapped": given["sheared"]}
-    terms = jax.jit(lambda batch: task.terms(variables, batch, jax.random.key(2))[0])
-    named = terms(same)
-    assert set(named) == set(training.losses)
+    same = batch | {"other": batch["sheared"], "swapped": batch["sheared"]}
+    named = compute_terms(same)
+    assert set(named) == {*PLAIN, *weights}
     assert all(value.shape == (4,) for value in named.values())
     np.testing.assert_allclose(named["counterfactual"], named["reconstruction"], rtol=1e-6)
-    other = terms(same | {"swapped": given["canonical"]})["code_agreement"]
+    apart = same | {"swapped": batch["canonical"]}
+    other = compute_terms(apart)["code_agreement"]
     assert np.all(named["code_agreement"] < 1e-6 * other)
-    # if poses share no slides, the codes of a slide and of its tap agree
-    training = replace(training, losses=training.losses | {"counterfactual": 0.0})
-    alone = make_unshear_task(net, training, supervision)
-    named, _ = alone.terms(variables, given | slide, jax.random.key(2))
-    assert "counterfactual" not in named
-    np.testing.assert_allclose(named["code_agreement"], other, rtol=1e-4)
-    z_s = np.asarray(unshearnet.encode(net, variables, scale(given["sheared"]))[1])
-    known = task.validate(variables, given | {"felt": 2 * z_s[:, 0, 0, :2]})
-    np.testing.assert_allclose(known["slide"], 0, atol=1e-10)
+    still, again = (task.validate(variables, apart)["counterfactual"] for _ in range(2))
+    np.testing.assert_array_equal(still, again)
+    # without partners the codes of a slide and of its tap agree
+    alone = compute_terms(batch)
+    assert set(alone) == {*PLAIN, "code_agreement"}
+    np.testing.assert_allclose(alone["code_agreement"], other, rtol=1e-4)
+    for loss, weight in weights.items():  # nothing is drawn that has no weight
+        assert set(make(**{loss: weight})[1](apart)) == {*PLAIN, loss}

@@ -73,9 +73,8 @@ def test_in_order_and_one_ahead_in_a_thread_of_their_own():
 
     with contextlib.closing(prefetch(itertools.count(), put)) as stream:
         assert list(itertools.islice(stream, 5)) == [0, -1, -2, -3, -4]
-    assert (
-        drawn == [0, 1, 2, 3, 4, 5] and len(threads) == 1 and threading.get_ident() not in threads
-    )
+    assert drawn == [0, 1, 2, 3, 4, 5]
+    assert len(threads) == 1 and threading.get_ident() not in threads
     assert not any(thread.ident in threads for thread in threading.enumerate())
 
 
