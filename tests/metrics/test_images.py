@@ -109,11 +109,6 @@ def test_the_least_size_of_five_scales_works_and_one_less_is_refused():
             images.ms_ssim(white, white, scales)
 
 
-def test_names_keep_other_sizes_apart():
-    assert images.format_ms_ssim_name(5) == "ms_ssim"
-    assert images.format_ms_ssim_name(4) == "ms_ssim@4"
-
-
 @pytest.mark.parametrize("size", [128, 161])
 def test_equal_images_score_one_and_order_does_not_matter(size):
     _, a, b = stacked(size)

@@ -1,5 +1,7 @@
 """Batch normalisation + ReLU against Flax, between all layouts; the compiled passes against XLA's."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -63,6 +65,11 @@ def test_equals_flax(source, target, channels):
             np.testing.assert_allclose(slope, slope_expected, atol=3e-4)
 
 
+XLA = norm._moments_by_xla, norm._affine_relu_by_xla, norm._slopes_by_xla, norm._gradient_by_xla
+PASSES = ("moments", "affine_relu", "slopes", "gradient")
+OURS = tuple(getattr(compiled_kernels, name) for name in PASSES)
+
+
 @compiled
 @pytest.mark.parametrize(
     ("source", "target"),
@@ -75,20 +82,14 @@ def test_compiled_passes_are_xla_s(source, target):
     """Bands and tails of every kind."""
     at = {"source": source, "target": target}
 
-    def run_xla(x, dy, factor, shift, mean, constant, tilt):
+    def run(passes, x, dy, factor, shift):
+        moments, affine_relu, slopes, gradient = passes
+        mean, constant, tilt = shift + 1, factor - 1, shift * factor
         return (
-            norm._moments_by_xla(x, source=source),
-            norm._affine_relu_by_xla(x, factor, shift, **at),
-            norm._slopes_by_xla(x, dy, factor, shift, mean, **at),
-            norm._gradient_by_xla(x, dy, factor, shift, mean, constant, tilt, **at),
-        )
-
-    def run_compiled(x, dy, factor, shift, mean, constant, tilt):
-        return (
-            compiled_kernels.moments(x, source=source),
-            compiled_kernels.affine_relu(x, factor, shift, **at),
-            compiled_kernels.slopes(x, dy, factor, shift, mean, **at),
-            compiled_kernels.gradient(x, dy, factor, shift, mean, constant, tilt, **at),
+            moments(x, source=source),
+            affine_relu(x, factor, shift, **at),
+            slopes(x, dy, factor, shift, mean, **at),
+            gradient(x, dy, factor, shift, mean, constant, tilt, **at),
         )
 
     odd = [(32, 7, 5)] if "blocks" not in (source, target) else []
@@ -96,8 +97,10 @@ def test_compiled_passes_are_xla_s(source, target):
         plain, factor, shift = inputs((3, rows, columns, channels))
         x = norm.convert_layout(plain, "plain", source)
         dy = norm.convert_layout(plain[::-1], "plain", target)
-        given = x, dy, factor, shift, shift + 1, factor - 1, shift * factor
-        expected, got = (jax.tree.leaves(jax.jit(run)(*given)) for run in (run_xla, run_compiled))
+        expected, got = (
+            jax.tree.leaves(jax.jit(partial(run, passes))(x, dy, factor, shift))
+            for passes in (XLA, OURS)
+        )
         for one, other in zip(expected, got, strict=True):
             check_close(other, one, 2e-6 * (rows * columns) ** 0.5)
 
