@@ -225,7 +225,7 @@ def test_a_wrong_power_is_caught(monkeypatch, compiled_anew, power, name, outcom
 def test_cases_that_take_seconds_hold(part):
     rows = stability.run_stability(part)
     assert rows and not stability.select_failed(rows), stability.format_table(rows)
-    assert all(part in row.name for row in rows)
+    assert all(part in row.case for row in rows)
 
 
 def test_narrow_numbers_are_compared_with_wide_ones():
