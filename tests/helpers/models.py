@@ -38,14 +38,6 @@ def change_weights(variables, change):
     return variables | {"params": jax.tree.map(change, variables["params"])}
 
 
-def drop_parts(variables, *parts):
-    """Return variables without these parts of the network, as released ones are."""
-    return {
-        kind: {name: held for name, held in tree.items() if name not in parts}
-        for kind, tree in variables.items()
-    }
-
-
 def write_network(folder, net, variables, targets=()):
     kept = {"kind": KINDS[type(net)], "net": vars(net), "targets": targets_to_json(targets)}
     checkpoint.write_settings(folder, json.loads(json.dumps(kept)))

@@ -26,7 +26,7 @@ from jaxunshear.training.initial_weights import (
     replace_weights,
     start_folder,
 )
-from tests.helpers.models import drop_parts
+from tests.helpers.network_parts import drop_parts
 from tests.training import small
 
 

@@ -22,6 +22,7 @@ from jaxunshear.training.tasks import (
     make_unshear_task,
 )
 from tests.helpers.gradients import list_taught_parts
+from tests.helpers.network_parts import find_taught_parts
 
 SMALL = {"hidden": 8, "layers": 1, "pose_code": 3, "shear_code": 2, "noise_px": 0.0}
 RNG = np.random.default_rng(0)
@@ -48,15 +49,6 @@ def make_task(training=PAIRS, supervision=Supervision(), **changes):
     return net, task, task.init(KEY)
 
 
-def find_taught(compute, variables):
-    """Return the parts that the gradient of `compute(variables)`, summed, reaches."""
-
-    def total(params):
-        return compute(variables | {"params": params}).sum()
-
-    return list_taught_parts(jax.jit(jax.grad(total))(variables["params"]))
-
-
 def batch(seed=0):
     rng = np.random.default_rng(seed)
     names = ("canonical_pins", "sheared_pins")
@@ -70,7 +62,7 @@ def batch(seed=0):
 )
 def test_every_part_is_taught_by_its_own_losses(term, parts):
     _, task, variables = make_task()
-    assert find_taught(lambda v: task.terms(v, batch(), KEY)[0][term], variables) == parts
+    assert find_taught_parts(lambda v: task.terms(v, batch(), KEY)[0][term], variables) == parts
 
 
 def test_taps_without_a_slide_come_out_as_they_went_in():
@@ -86,7 +78,7 @@ def test_taps_without_a_slide_come_out_as_they_went_in():
     terms = compute_terms(variables)
     np.testing.assert_allclose(terms["tap_identity"], expected, rtol=1e-5)
     # no slide is asked of a tap
-    taught = find_taught(lambda v: compute_terms(v)["tap_identity"], variables)
+    taught = find_taught_parts(lambda v: compute_terms(v)["tap_identity"], variables)
     assert taught == {"E", "pose", "DC"}
     plain = make_task()[1].terms(variables, batch(), KEY)[0]
     np.testing.assert_array_equal(terms["supervised"], plain["supervised"])
