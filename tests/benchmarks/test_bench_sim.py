@@ -37,28 +37,19 @@ def own_cache(tmp_path_factory, monkeypatch):
     monkeypatch.setenv("JAXUNSHEAR_CACHE", str(folder))
 
 
-def run(*settings: Setting) -> list[dict]:
-    return bench(sensor=HALF_SIZE, effort=SMALL, settings=settings)
+def run(*settings: Setting, **more) -> list[dict]:
+    return bench(sensor=HALF_SIZE, effort=SMALL, settings=settings, **more)
 
 
 @pytest.mark.long
 def test_a_row_says_all_there_is_to_say():
     kept = []
     setting = Setting("auto, batch 2", "auto", LEVELS["auto"], 2)
-    rows = bench(
-        sensor=HALF_SIZE, effort=SMALL, settings=[setting], keep=lambda rows: kept.append(len(rows))
-    )
+    rows = run(setting, keep=lambda rows: kept.append(len(rows)))
     assert [row["kind"] for row in rows] == ["slide", "tap"] and kept == [1, 2]
+    named = {"level", "batch", "solver", "mesh_mm", "against", "precision", *bench_sim.COLUMNS}
     for row in rows:
-        assert set(row) >= {
-            *bench_sim.COLUMNS,
-            "level",
-            "batch",
-            "solver",
-            "mesh_mm",
-            "against",
-            "precision",
-        }
+        assert set(row) >= named
         assert row["converged"] == 1 and not row["failed"] and row["nodes"] > 0
         assert 0 < row["rms_px"] <= row["p95_px"] * 3 and row["rms_px"] < 0.5
         assert row["ms_per_state"] > 0 and row["ratio"] > 0
@@ -93,36 +84,38 @@ def test_a_solver_that_crashes_is_a_row(monkeypatch, error, said):
     assert "crashed" in bench_sim.format_table([row]) and bench_figure.plot_work_precision([row])
 
 
+ACCURATE = replace(LEVELS["auto"], tolerance=0.02, limit=2000)
+SHORT = replace(LEVELS["auto"], tolerance=0.01, press_mm=0.25)
+LONG = pytest.mark.long
+
+
 @pytest.mark.parametrize(
-    "solver",
-    ["admm with anderson", pytest.param("accelerated projected gradient", marks=pytest.mark.long)],
+    ("solver", "level", "kind"),
+    [
+        ("admm with anderson", ACCURATE, "slide"),
+        pytest.param("accelerated projected gradient", ACCURATE, "slide", marks=LONG),
+        # one press of a millimetre: near enough to zero force, where Newton is right
+        pytest.param("newton, cold", SHORT, "tap", marks=LONG),
+    ],
 )
-def test_rivals_find_the_same_contact(solver):
-    level = replace(LEVELS["auto"], tolerance=0.02, limit=2000)
-    (row,) = run(Setting("rival", "auto", level, 2, solver, kinds=("slide",)))
-    assert row["converged"] == 1 and row["rms_px"] < 0.1 and not row["failed"]
-
-
-@pytest.mark.long
-def test_newton_is_right_where_its_start_is():
-    """One press of a millimetre: near enough to zero force."""
-    how = replace(LEVELS["auto"], tolerance=0.01, press_mm=0.25)
-    (row,) = run(Setting("newton", "auto", how, 2, "newton, cold", kinds=("tap",)))
+def test_rivals_find_the_same_contact(solver, level, kind):
+    (row,) = run(Setting("rival", "auto", level, 2, solver, kinds=(kind,)))
     assert row["converged"] == 1 and row["rms_px"] < 0.1 and not row["failed"]
 
 
 def test_what_is_chosen():
-    settings = bench_sim.select_settings(Effort(), "auto", 64)
-    assert [(s.level, s.batch, s.solver) for s in settings] == [("auto", 64, "admm")]
-    assert {s.batch for s in bench_sim.select_settings(Effort(), None, 16)} == {16}
-    everything = bench_sim.select_settings(Effort(), None, None)
+    def select(level, batch):
+        return bench_sim.select_settings(Effort(), level, batch)
+
+    assert [(s.level, s.batch, s.solver) for s in select("auto", 64)] == [("auto", 64, "admm")]
+    assert {s.batch for s in select(None, 16)} == {16}
+    everything = select(None, None)
     assert {"fast", "auto", "default", "reference", "unabridged"} <= {s.level for s in everything}
     assert {s.solver for s in everything} == set(other_solvers.OTHER_SOLVERS)
     assert len({s.name for s in everything}) == len(everything)
-    with pytest.raises(UserError, match="--level 'best'"):
-        bench_sim.select_settings(Effort(), "best", None)
-    with pytest.raises(UserError, match="--batch 0"):
-        bench_sim.select_settings(Effort(), None, 0)
+    for wrong, said in ((("best", None), "--level 'best'"), ((None, 0), "--batch 0")):
+        with pytest.raises(UserError, match=said):
+            select(*wrong)
 
 
 def test_scenes_are_the_same_again_and_few_are_the_first_of_many():

@@ -25,18 +25,20 @@ from jaxunshear.perception.lattice import compute_rings, make_lattice
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 
+def draw_lattice(sensor, rim=46.0, middle=64.0):
+    flat = compute_pin_lattice(sensor)
+    flat = flat / np.linalg.norm(flat, axis=1).max()
+    return make_lattice(flat * rim + middle, compute_rings(sensor))
+
+
 @pytest.fixture(params=[TACTIP_331, TACTIP_127], ids=lambda sensor: sensor.layout)
 def lattice(request):
-    flat = compute_pin_lattice(request.param)
-    return make_lattice(flat / np.abs(flat).max() * 46 + 64, compute_rings(request.param))
+    return draw_lattice(request.param)
 
 
 def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
     """Reject noise, of which networks over images draw pins, too."""
-    flat = compute_pin_lattice(TACTIP_127)
-    untouched = make_lattice(
-        flat / np.linalg.norm(flat, axis=1).max() * 48 + 63.5, compute_rings(TACTIP_127)
-    )
+    untouched = draw_lattice(TACTIP_127, 48, 63.5)
     pins = np.asarray(draw_dots(np.float32(untouched.rest)[None], 2.0, 128))[0, ..., 0]
     noise = np.random.default_rng(0).random((128, 128)) < 0.2
     for name, image in (("a", pins > 0.5), ("b", noise)):  # a folder each: crops are common to one
@@ -45,8 +47,7 @@ def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
     networks = {"disentangled": lambda images: np.zeros((len(images), *untouched.rest.shape))}
     model = TrainedModel(tmp_path, Experiment("small", "none"))
     model.lattice = untouched
-    methods = {INVERSE: lambda motion: motion[..., 0]}
-    result = SimpleNamespace(networks=networks, methods=methods)
+    result = SimpleNamespace(networks=networks, methods={INVERSE: lambda motion: motion[..., 0]})
     names, heights = estimate_recorded_heights(tmp_path, model, result)
     assert names == ["a/0.png", "b/0.png"] and heights.keys() == {"as recorded", "disentangled"}
     for height in heights.values():
@@ -69,11 +70,8 @@ def test_uniform_stretch_grows_inner_cells_by_its_square(lattice):
 def test_hexagons_have_their_closed_form():
     flat = compute_pin_lattice(TACTIP_127)
     lattice = make_lattice(flat, compute_rings(TACTIP_127))
-    inner = lattice.ring < lattice.ring.max()
-    expected = np.sqrt(3) / 2 * TACTIP_127.pin_spacing_mm**2
-    np.testing.assert_allclose(
-        compute_cell_areas(lattice, np.zeros_like(flat))[inner], expected, rtol=1e-9
-    )
+    areas = compute_cell_areas(lattice, np.zeros_like(flat))[lattice.ring < lattice.ring.max()]
+    np.testing.assert_allclose(areas, np.sqrt(3) / 2 * TACTIP_127.pin_spacing_mm**2, rtol=1e-9)
 
 
 def test_heights_rise_where_pins_are_drawn_apart(lattice):
@@ -88,11 +86,8 @@ def test_missing_pins_follow_their_neighbours(lattice):
     motion = 0.05 * (lattice.rest - lattice.centre)
     with_gaps = motion.copy()
     with_gaps[[3, 40, 90]] = np.nan
-    np.testing.assert_allclose(
-        compute_relative_growth(lattice, with_gaps),
-        compute_relative_growth(lattice, motion),
-        atol=0.03,
-    )
+    found, expected = (compute_relative_growth(lattice, each) for each in (with_gaps, motion))
+    np.testing.assert_allclose(found, expected, atol=0.03)
 
 
 def test_surface_passes_through_its_pins_and_is_smooth(lattice):
@@ -134,16 +129,13 @@ def test_beyond_the_rim_the_nearest_height_counts(lattice):
 
 
 def test_a_linear_skin_is_learnt(lattice):
-    generator = np.random.default_rng(0)
-    pins = len(lattice.rest)
+    generator, pins = np.random.default_rng(0), len(lattice.rest)
     shapes = generator.normal(size=(6, 2 * pins))
     rises = generator.normal(size=(6, pins))
     share = generator.normal(size=(200, 6))
-    inverse = fit_inverse(
-        lattice, (share[:150] @ shapes).reshape(150, pins, 2), share[:150] @ rises
-    )
-    indentation = (share[150:] @ shapes) @ inverse
-    np.testing.assert_allclose(indentation, share[150:] @ rises, atol=0.02)
+    motion, heights = share @ shapes, share @ rises
+    inverse = fit_inverse(lattice, motion[:150].reshape(150, pins, 2), heights[:150])
+    np.testing.assert_allclose(motion[150:] @ inverse, heights[150:], atol=0.02)
 
 
 def test_what_is_not_felt_is_exactly_zero_and_what_is_unknown_stays_so(lattice):

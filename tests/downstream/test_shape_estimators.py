@@ -5,7 +5,8 @@ import pytest
 
 from jaxunshear.config.image import Camera, Preprocess
 from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.data.simulation import SimulatedContacts
+from jaxunshear.data.simulated_contacts import SimulatedContacts
+from jaxunshear.downstream.geometry import measure_tap_motions
 from jaxunshear.downstream.reconstruct import compute_skin_positions
 from jaxunshear.downstream.shape_estimators import (
     SKIN,
@@ -29,15 +30,12 @@ def test_a_level_misses_as_much_as_it_adds():
 @pytest.fixture
 def estimators():
     """Make estimators of made-up taps: skin over an edge is pressed in, and spreads its pins."""
-    generator = np.random.default_rng(1)
-    place, pins = compute_skin_positions(TACTIP_331), len(LATTICE.rest)
+    generator, place = np.random.default_rng(1), compute_skin_positions(TACTIP_331)
     angle, aside = generator.uniform(0, 2 * np.pi, 60), generator.uniform(-3, 3, 60)
-    distance = place @ np.stack([np.cos(angle), np.sin(angle)]) - aside
-    distance = distance.T
+    distance = (place @ np.stack([np.cos(angle), np.sin(angle)]) - aside).T
     pressed = 2.0 / (1 + np.exp(distance))
     spread = 0.1 * pressed[..., None] * (LATTICE.rest - LATTICE.centre)
     motion = spread + generator.normal(0, 0.05, spread.shape)
-    assert pressed.shape == (60, pins)
     return make_shape_estimators(TACTIP_331, LATTICE, motion, pressed, distance), motion
 
 
@@ -54,21 +52,15 @@ def test_makers_agree_on_what_they_are_given(estimators):
 
 
 def test_untouched_skin_stands_as_the_dome_does(estimators):
-    estimator = estimators[0][SKIN]
-    still = np.zeros((1, *LATTICE.rest.shape))
+    estimator, still = estimators[0][SKIN], np.zeros((1, *LATTICE.rest.shape))
     distance = np.linalg.norm(estimator.locate_values(still)[0], axis=-1)
     radius = TACTIP_331.dome_radius_mm
-    np.testing.assert_allclose(
-        estimator.estimate_values(still)[0], radius - np.sqrt(radius**2 - distance**2), atol=1e-9
-    )
+    expected = radius - np.sqrt(radius**2 - distance**2)
+    np.testing.assert_allclose(estimator.estimate_values(still)[0], expected, atol=1e-9)
 
 
 def test_small_images_are_refused():
-    from jaxunshear.downstream.geometry import measure_tap_motions
-
-    blank = np.zeros((2, 32, 32), np.uint8)
-    none = np.zeros((2, 0))
+    blank, none = np.zeros((2, 32, 32), np.uint8), np.zeros((2, 0))
+    contacts = SimulatedContacts(none, none, blank, blank, none, none, none, 0)
     with pytest.raises(UserError, match="of 32 px: use a model of larger images"):
-        measure_tap_motions(
-            LATTICE, SimulatedContacts(none, none, blank, blank, none, none, none, 0)
-        )
+        measure_tap_motions(LATTICE, contacts)

@@ -1,4 +1,4 @@
-"""Networks over pins: shapes, what reaches what, pins that are not seen."""
+"""Networks over pins: shapes, what reaches what, pins that are not seen, motions on a grid."""
 
 import functools
 
@@ -9,10 +9,21 @@ import pytest
 
 from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.errors import Note, UserError
-from jaxunshear.models import distances, pin_networks
-from jaxunshear.models.pin_networks import make_grid
+from jaxunshear.models import distances
+from jaxunshear.models.pin_grid import make_grid
+from jaxunshear.models.pin_networks import (
+    add_noise,
+    decode_canonical,
+    decode_sheared,
+    encode,
+    init,
+    predict,
+    reconstruct,
+    render_pins,
+    unshear,
+)
 from jaxunshear.models.reconstruction import measure_disagreement
-from tests.helpers.gradients import list_taught_parts
+from tests.helpers.network_parts import drop_parts, find_taught_parts
 
 SMALL = {"hidden": 16, "layers": 2, "pose_code": 5, "shear_code": 2}
 REST = np.random.default_rng(0).uniform(10, 100, (19, 2)).astype(np.float32)
@@ -21,15 +32,12 @@ REST = np.random.default_rng(0).uniform(10, 100, (19, 2)).astype(np.float32)
 @functools.cache
 def made(kind, outputs=0, **changes):
     net = kind(**SMALL | changes)
-    return net, jax.jit(lambda key: pin_networks.init(net, REST, 1.5, key, outputs))(
-        jax.random.key(0)
-    )
+    return net, jax.jit(lambda key: init(net, REST, 1.5, key, outputs))(jax.random.key(0))
 
 
 def moved(seed=1, count=3):
-    return jnp.asarray(
-        REST + np.random.default_rng(seed).normal(0, 1.5, (count, *REST.shape)), jnp.float32
-    )
+    motion = np.random.default_rng(seed).normal(0, 1.5, (count, *REST.shape))
+    return jnp.asarray(REST + motion, jnp.float32)
 
 
 @pytest.mark.parametrize(
@@ -37,172 +45,141 @@ def moved(seed=1, count=3):
 )
 def test_shapes_and_batches(jit, changes):
     net, variables = made(PinUnshear, **changes)
-    unshear = jax.jit(pin_networks.unshear, static_argnums=0) if jit else pin_networks.unshear
+    run = jax.jit(unshear, static_argnums=0) if jit else unshear
     pins = moved()
-    z_p, z_s = pin_networks.encode(net, variables, pins)
+    z_p, z_s = encode(net, variables, pins)
     assert (z_p.shape, z_s.shape) == ((3, 5), (3, 2))
-    canonical = unshear(net, variables, pins)
-    assert canonical.shape == pins.shape
-    np.testing.assert_allclose(
-        unshear(net, variables, pins[1:2])[0], canonical[1], rtol=1e-5, atol=1e-4
-    )
-    assert pin_networks.decode_sheared(net, variables, z_p, z_s).shape == pins.shape
+    canonical = run(net, variables, pins)
+    assert canonical.shape == decode_sheared(net, variables, z_p, z_s).shape == pins.shape
+    alone = run(net, variables, pins[1:2])[0]
+    np.testing.assert_allclose(alone, canonical[1], rtol=1e-5, atol=1e-4)
 
 
 @pytest.mark.parametrize("apart", [False, True])
 def test_released_weights_give_the_pose_code_and_say_so(apart):
     net, variables = made(PinUnshear, apart=apart)
-    params = variables["params"]
-    kept = {name: params[name] for name in params if name not in ("shear", "DS", "ES")}
-    released = variables | {"params": kept}
-    unsheared = (pin_networks.unshear(net, each, moved()) for each in (released, variables))
-    np.testing.assert_array_equal(*unsheared)
+    released, pins = drop_parts(variables, "shear", "DS", "ES"), moved()
     with pytest.warns(Note, match="z_p alone"):
-        z_p, z_s = pin_networks.encode(net, released, moved())
-    full, other = pin_networks.encode(net, variables, moved())
+        z_p, z_s = encode(net, released, pins)
+    codes = encode(net, variables, pins)
     assert z_s is None
-    np.testing.assert_array_equal(z_p, full)
+    np.testing.assert_array_equal(z_p, codes[0])
+    np.testing.assert_array_equal(unshear(net, released, pins), unshear(net, variables, pins))
     with pytest.raises(UserError, match="no DS"):
-        pin_networks.decode_sheared(net, released, full, other)
+        decode_sheared(net, released, *codes)
 
 
 def test_the_canonical_pins_do_not_know_the_shear_code():
     """By gradients that are exactly zero: of DC's answer to the shear code's layer, and to DS."""
     net, variables = made(PinUnshear)
 
-    def total(params):
-        return pin_networks.unshear(net, variables | {"params": params}, moved()).sum()
+    def draw(given):
+        return unshear(net, given, moved())
 
-    slopes = jax.jit(jax.grad(total))(variables["params"])
-    assert list_taught_parts(slopes) == {"E", "pose", "DC"}
-    reached = (slopes["E"], slopes["pose"], slopes["DC"]["Dense_0"])
-    assert all(np.any(leaf) for leaf in jax.tree.leaves(reached))
+    assert find_taught_parts(draw, variables) == {"E", "pose", "DC"}
 
 
 def test_no_shear_code_builds_no_ds():
     net, variables = made(PinUnshear, shear_code=0)
     assert set(variables["params"]) == {"E", "pose", "DC"}
-    assert pin_networks.encode(net, variables, moved())[1] is None
+    assert encode(net, variables, moved())[1] is None
 
 
-def test_a_pin_that_is_not_seen_counts_as_one_that_has_not_moved():
-    net, variables = made(PinPoseNet, 4)
+@pytest.mark.parametrize("convolved", [(), (4, 6)])
+def test_a_pin_that_is_not_seen_counts_as_one_that_has_not_moved(convolved):
+    net, variables = made(PinPoseNet, 4, convolved=convolved)
     pins = moved()
-    hidden = pins.at[:, 7].set(jnp.nan)
-    still = pins.at[:, 7].set(REST[7])
-    outputs = pin_networks.predict(net, variables, hidden)
+    outputs = predict(net, variables, pins.at[:, 7].set(jnp.nan))
     assert outputs.shape == (3, 4) and np.isfinite(outputs).all()
-    np.testing.assert_array_equal(outputs, pin_networks.predict(net, variables, still))
-    assert np.isfinite(pin_networks.unshear(*made(PinUnshear), jnp.full_like(pins, jnp.nan))).all()
+    still = pins.at[:, 7].set(REST[7])
+    np.testing.assert_array_equal(outputs, predict(net, variables, still))
+    assert np.isfinite(unshear(*made(PinUnshear), jnp.full_like(pins, jnp.nan))).all()
 
 
-def test_an_encoder_that_convolves_has_no_dense_trunk_and_sees_every_pin():
+def test_what_convolves_has_no_dense_trunk_and_sees_every_pin():
     net, variables = made(PinUnshear, convolved=(4, 6))
-    assert set(variables["params"]["E"]) == {
-        "Conv_0",
-        "Conv_1",
-        "Dense_0",
-        *(f"LayerNorm_{i}" for i in range(3)),
-    }
+    posenet, weights = made(PinPoseNet, 4, convolved=(4, 6))
+    norms = {f"LayerNorm_{i}" for i in range(3)}
+    assert set(variables["params"]["E"]) == {"Conv_0", "Conv_1", "Dense_0"} | norms
     assert set(variables["params"]["DC"]) == {"Trunk_0", "Dense_0"}
-    slopes = jax.jit(jax.grad(lambda pins: jnp.sum(pin_networks.encode(net, variables, pins)[0])))(
-        moved()
-    )
-    assert jnp.all(jnp.any(slopes != 0, axis=-1))
-
-
-def test_a_posenet_that_convolves_has_no_dense_trunk_and_sees_every_pin():
-    net, variables = made(PinPoseNet, 4, convolved=(4, 6))
-    assert set(variables["params"]) == {"GridTrunk_0", "Dense_0"}
+    assert set(weights["params"]) == {"GridTrunk_0", "Dense_0"}
     pins = moved()
-    outputs = pin_networks.predict(net, variables, pins)
-    assert outputs.shape == (3, 4)
-    np.testing.assert_allclose(
-        pin_networks.predict(net, variables, pins[1:2])[0], outputs[1], atol=1e-5
-    )
-    slopes = jax.jit(jax.grad(lambda pins: jnp.sum(pin_networks.predict(net, variables, pins))))(
-        pins
-    )
-    assert jnp.all(jnp.any(slopes != 0, axis=-1))
-    hidden, still = pins.at[:, 7].set(jnp.nan), pins.at[:, 7].set(REST[7])
-    np.testing.assert_array_equal(
-        *(pin_networks.predict(net, variables, each) for each in (hidden, still))
-    )
+    for compute in (
+        lambda pins: encode(net, variables, pins)[0],
+        lambda pins: predict(posenet, weights, pins),
+    ):
+        slopes = jax.jit(jax.grad(lambda pins, run=compute: jnp.sum(run(pins))))(pins)
+        assert jnp.all(jnp.any(slopes != 0, axis=-1))
+        np.testing.assert_allclose(compute(pins[1:2])[0], compute(pins)[1], atol=1e-5)
 
 
 def test_distance_is_in_units_of_the_spread_and_skips_what_is_not_seen():
     _, variables = made(PinUnshear)
     target = moved()
-    assert float(
-        distances.compute_pin_distance(target + 3.0, target, variables)[0]
-    ) == pytest.approx(4.0, rel=1e-5)
+
+    def measure(pins, target):
+        return distances.compute_pin_distance(pins, target, variables)
+
+    assert float(measure(target + 3.0, target)[0]) == pytest.approx(4.0, rel=1e-5)
     holes = target.at[0, :10].set(jnp.nan)
     far = target.at[0, :10].add(100.0) + 1.5
-    assert float(distances.compute_pin_distance(far, holes, variables)[0]) == pytest.approx(
-        1.0, rel=1e-5
-    )
-    slope = jax.grad(lambda pins: distances.compute_pin_distance(pins, holes, variables).sum())(far)
+    assert float(measure(far, holes)[0]) == pytest.approx(1.0, rel=1e-5)
+    slope = jax.grad(lambda pins: measure(pins, holes).sum())(far)
     assert np.isfinite(slope).all() and np.all(slope[0, :10] == 0)
 
 
 def test_a_fresh_renderer_draws_nearly_the_untouched_pins():
-    net, variables = made(PinRenderer, 4)
-    drawn = pin_networks.render_pins(net, variables, jnp.full((2, 4), 0.7))
+    drawn = render_pins(*made(PinRenderer, 4), jnp.full((2, 4), 0.7))
     assert drawn.shape == (2, *REST.shape) and 0 < np.abs(drawn - REST[None]).max() < 1.0
 
 
 def test_spoiling_adds_its_noise():
-    net = PinUnshear(**SMALL, noise_px=0.5)
     pins = jnp.asarray(np.tile(REST, (400, 1, 1)))
-    spoilt = pin_networks.add_noise(net, pins, jax.random.key(3))
+    spoilt = add_noise(PinUnshear(**SMALL, noise_px=0.5), pins, jax.random.key(3))
     assert np.std(spoilt - pins) == pytest.approx(0.5, rel=0.05)
 
 
 def test_both_decoders_draw_from_the_codes():
     net, variables = made(PinUnshear)
-    decoded, _ = pin_networks.reconstruct(net, variables, moved())
-    z_p, z_s = pin_networks.encode(net, variables, moved())
-    np.testing.assert_array_equal(
-        decoded.canonical, pin_networks.decode_canonical(net, variables, z_p)
-    )
-    np.testing.assert_array_equal(
-        decoded.sheared, pin_networks.decode_sheared(net, variables, z_p, z_s)
-    )
+    decoded, _ = reconstruct(net, variables, moved())
+    z_p, z_s = encode(net, variables, moved())
+    np.testing.assert_array_equal(decoded.canonical, decode_canonical(net, variables, z_p))
+    np.testing.assert_array_equal(decoded.sheared, decode_sheared(net, variables, z_p, z_s))
     assert decoded.counterfactual is None and decoded.disagreement is None
 
 
-def test_apart_the_sheared_pins_teach_no_code():
+@pytest.mark.parametrize(
+    ("apart", "untaught"), [(True, {"E", "pose", "ES", "shear", "DC"}), (False, {"DC"})]
+)
+def test_apart_the_sheared_pins_teach_no_code(apart, untaught):
     """By gradients that are exactly zero, of what was exchanged, too."""
-    for apart, untaught in ((True, {"E", "pose", "ES", "shear", "DC"}), (False, {"DC"})):
-        net, variables = made(PinUnshear, apart=apart)
+    net, variables = made(PinUnshear, apart=apart)
 
-        def total(params, net=net, variables=variables):
-            partners = moved(2), moved(3)
-            decoded, _ = pin_networks.reconstruct(
-                net, variables | {"params": params}, moved(), jax.random.key(0), *partners
-            )
-            return decoded.sheared.sum() + decoded.counterfactual.sum()
+    def draw(given):
+        decoded, _ = reconstruct(net, given, moved(), jax.random.key(0), moved(2), moved(3))
+        return decoded.sheared + decoded.counterfactual
 
-        slopes = jax.jit(jax.grad(total))(variables["params"])
-        assert slopes.keys() - list_taught_parts(slopes) == untaught
+    assert variables["params"].keys() - find_taught_parts(draw, variables) == untaught
 
 
 def test_exchanged_codes_are_those_they_are_called():
     net, variables = made(PinUnshear, apart=True)
     own, same_pose, same_slide = moved(1), moved(2), moved(3)
-    decoded, _ = pin_networks.reconstruct(net, variables, own, None, same_pose, same_slide)
-    (z_p, _), (_, z_s) = (pin_networks.encode(net, variables, pins) for pins in (own, same_slide))
-    np.testing.assert_allclose(
-        decoded.counterfactual, pin_networks.decode_sheared(net, variables, z_p, z_s), rtol=1e-5
+
+    def exchange(*partners):
+        return reconstruct(net, variables, own, None, *partners)[0]
+
+    decoded = exchange(same_pose, same_slide)
+    (z_p, _), (other, _), (_, z_s) = (
+        encode(net, variables, pins) for pins in (own, same_pose, same_slide)
     )
-    assert np.all(pin_networks.reconstruct(net, variables, own, None, own)[0].disagreement == 0)
-    assert np.all(
-        pin_networks.reconstruct(net, variables, own, None, own, own)[0].disagreement == 0
-    )
+    expected = decode_sheared(net, variables, z_p, z_s)
+    np.testing.assert_allclose(decoded.counterfactual, expected, rtol=1e-5)
+    expected = decode_canonical(net, variables, other)
+    np.testing.assert_allclose(decoded.same_pose, expected, rtol=1e-5)
     assert np.all(decoded.disagreement > 0)
-    z_p, _ = pin_networks.encode(net, variables, same_pose)
-    again = pin_networks.decode_canonical(net, variables, z_p)
-    np.testing.assert_allclose(decoded.same_pose, again, rtol=1e-5)
+    assert np.all(exchange(own).disagreement == 0)
+    assert np.all(exchange(own, own).disagreement == 0)
 
 
 def test_disagreement_is_zero_of_equal_codes_and_depends_on_no_scale():
@@ -243,9 +220,8 @@ def test_the_grid_is_as_fine_as_the_pins(rings):
     assert grid.shape == (len(rest), (2 * rings) ** 2) and grid.dtype == np.float32
     inside = grid.any(axis=0)
     assert 0.6 < inside.mean() < 0.9  # a hexagon's share of the square about it
-    np.testing.assert_allclose(
-        grid.sum(axis=0)[inside], 1, atol=1e-5
-    )  # a shift of all pins is that shift everywhere
+    # a shift of all pins is that shift everywhere
+    np.testing.assert_allclose(grid.sum(axis=0)[inside], 1, atol=1e-5)
 
 
 def test_a_smooth_field_comes_out_at_its_places():
@@ -257,7 +233,6 @@ def test_a_smooth_field_comes_out_at_its_places():
         return np.sin(xy[:, 0] / 30) + 0.02 * xy[:, 1]
 
     error = np.abs(field(rest) @ grid - field(at))[inside]
-    beside = (
-        np.linalg.norm(at[inside][:, None] - rest, axis=-1).min(axis=1) < 0.6 * 7.0
-    )  # others are beyond the last pins
+    # others are beyond the last pins
+    beside = np.linalg.norm(at[inside][:, None] - rest, axis=-1).min(axis=1) < 0.6 * 7.0
     assert error[beside].max() < 0.04 and error.max() < 0.2

@@ -74,9 +74,7 @@ def varied(image: np.ndarray, rng: Generator) -> np.ndarray:
     return image
 
 
-def _resampled(
-    image: np.ndarray, scale: float, turn: float = 0.0, shift: np.ndarray | tuple = (0.0, 0.0)
-) -> np.ndarray:
+def _resampled(image: np.ndarray, scale: float, turn: float = 0.0, shift=(0.0, 0.0)) -> np.ndarray:
     """Scale and turn an image about the middle, then shift it by px as (row, column).
 
     The edge of the mask continues outwards, as housings do: pieces of its ring that black cut off
@@ -87,8 +85,8 @@ def _resampled(
     source = offset @ rotation_2d(turn) / scale
     radius = np.linalg.norm(source, axis=-1, keepdims=True)
     source *= np.minimum(1, (Preprocess().mask_radius * len(image) - 1) / np.maximum(radius, 1))
-    places = np.moveaxis(middle + source, -1, 0)
-    return _masked(ndimage.map_coordinates(image.astype(np.float32), places, order=1) > 127)
+    place = np.moveaxis(middle + source, -1, 0)
+    return _masked(ndimage.map_coordinates(image.astype(np.float32), place, order=1) > 127)
 
 
 def _masked(white: np.ndarray) -> np.ndarray:
@@ -97,8 +95,7 @@ def _masked(white: np.ndarray) -> np.ndarray:
 
 def _dots(place: np.ndarray, size: int, radius: float) -> np.ndarray:
     """Discs of `radius` px about places (N, 2) px as (column, row)."""
-    rows, columns = np.mgrid[:size, :size]
-    pixels = np.stack([columns, rows], -1).reshape(-1, 2)
+    pixels = np.indices((size, size))[::-1].reshape(2, -1).T
     off = cKDTree(place).query(pixels, distance_upper_bound=radius)[0]
     return _masked(np.isfinite(off).reshape(size, size))
 
@@ -111,8 +108,8 @@ def _blobs(image: np.ndarray, rng: Generator) -> np.ndarray:
     """Noise of one wavelength, of usual spacings of pins to ten times that."""
     spacing = len(image) * 0.036 * 10 ** rng.random()
     wave = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(len(image))])) * spacing
-    spectrum = np.fft.fft2(rng.normal(size=image.shape)) * np.exp(-(((wave - 1) / 0.2) ** 2))
-    noise = np.fft.ifft2(spectrum).real
+    band = np.exp(-(((wave - 1) / 0.2) ** 2))
+    noise = np.fft.ifft2(np.fft.fft2(rng.normal(size=image.shape)) * band).real
     return _masked(noise > np.quantile(noise, rng.uniform(0.65, 0.85)))
 
 
@@ -129,8 +126,8 @@ def _scattered(image: np.ndarray, rng: Generator) -> np.ndarray:
     """The sensor's own pins, strewn about by a quarter of their spacing or more."""
     pins = detect_pins_fast(image)
     spacing = measure_spacing(pins)
-    away = rng.normal(0, rng.uniform(0.25, 1) * spacing, pins.shape)
-    return _dots(pins + away, len(image), 0.25 * spacing)
+    strewn = pins + rng.normal(0, rng.uniform(0.25, 1) * spacing, pins.shape)
+    return _dots(strewn, len(image), 0.25 * spacing)
 
 
 def _square_grid(image: np.ndarray, rng: Generator) -> np.ndarray:
@@ -166,16 +163,8 @@ def _prepared(grey: np.ndarray) -> np.ndarray:
 
 def _blurred(image: np.ndarray, rng: Generator) -> np.ndarray:
     """Out of focus by half a spacing and more."""
-    width = len(image) * rng.uniform(0.03, 0.08)
-    return _prepared(ndimage.gaussian_filter(image.astype(np.float32) / 255, width))
-
-
-def _shrunk(image: np.ndarray, rng: Generator) -> np.ndarray:
-    return _resampled(image, rng.uniform(0.4, 0.85))
-
-
-def _zoomed(image: np.ndarray, rng: Generator) -> np.ndarray:
-    return _resampled(image, rng.uniform(1.15, 2.5))
+    deviation = len(image) * rng.uniform(0.03, 0.08)
+    return _prepared(ndimage.gaussian_filter(image.astype(np.float32) / 255, deviation))
 
 
 def _off_side(image: np.ndarray, rng: Generator) -> np.ndarray:
@@ -192,14 +181,6 @@ def _half_covered(image: np.ndarray, rng: Generator) -> np.ndarray:
     return _masked(np.where(cover, rng.random() < 0.5, image > 127))
 
 
-def _inverted(image: np.ndarray, rng: Generator) -> np.ndarray:
-    return invert_image(image)
-
-
-def _blank(image: np.ndarray, rng: Generator) -> np.ndarray:
-    return _masked(np.full(image.shape, rng.random() < 0.5))
-
-
 # What is made of, or in place of, an image (S, S) of the sensor.
 STRANGERS: dict[str, Callable[[np.ndarray, Generator], np.ndarray]] = {
     "white noise": _white_noise,
@@ -209,10 +190,10 @@ STRANGERS: dict[str, Callable[[np.ndarray, Generator], np.ndarray]] = {
     "square grid": _square_grid,
     "pictures": _picture,
     "blurred": _blurred,
-    "shrunk by 15 % and more": _shrunk,
-    "zoomed by 15 % and more": _zoomed,
+    "shrunk by 15 % and more": lambda image, rng: _resampled(image, rng.uniform(0.4, 0.85)),
+    "zoomed by 15 % and more": lambda image, rng: _resampled(image, rng.uniform(1.15, 2.5)),
     "off by 15 % and more": _off_side,
     "half covered": _half_covered,
-    "inverted": _inverted,
-    "blank": _blank,
+    "inverted": lambda image, rng: invert_image(image),
+    "blank": lambda image, rng: _masked(np.full(image.shape, rng.random() < 0.5)),
 }

@@ -14,12 +14,18 @@ FLAT = compute_pin_lattice(TACTIP_127)
 PINS = (SIZE - 1) / 2 + 0.375 * SIZE * FLAT / np.linalg.norm(FLAT, axis=-1).max()
 
 
+def draw(pins):
+    return np.asarray(draw_dots(jnp.asarray(pins[None], jnp.float32), 2.1, SIZE))[0, ..., 0]
+
+
+def find(image):
+    return find_pins((image * 255).astype(np.uint8))
+
+
 @pytest.mark.parametrize("shift", [0.0, 0.3])
 def test_dots_are_found_where_they_were_drawn(shift):
-    image = np.asarray(draw_dots(jnp.asarray(PINS[None] + shift, jnp.float32), 2.1, SIZE))[
-        0, ..., 0
-    ]
-    found = find_pins((image * 255).astype(np.uint8))
+    image = draw(PINS + shift)
+    found = find(image)
     assert len(found) == len(PINS)
     apart = np.linalg.norm(found[:, None] - (PINS + shift), axis=-1).min(axis=1)
     assert apart.max() < 0.35
@@ -27,7 +33,5 @@ def test_dots_are_found_where_they_were_drawn(shift):
 
 
 def test_pins_that_are_not_seen_are_not_drawn():
-    holes = PINS.copy()
-    holes[:30] = np.nan
-    image = np.asarray(draw_dots(jnp.asarray(holes[None], jnp.float32), 2.1, SIZE))[0, ..., 0]
-    assert len(find_pins((image * 255).astype(np.uint8))) == len(PINS) - 30
+    holes = np.where(np.arange(len(PINS))[:, None] < 30, np.nan, PINS)
+    assert len(find(draw(holes))) == len(PINS) - 30

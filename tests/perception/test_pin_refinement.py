@@ -29,32 +29,37 @@ def slid():
     return PLACE + 9 * np.stack([bell, 0.4 * bell], axis=-1)
 
 
-def error(track):
-    return np.linalg.norm(LATTICE.rest + track.motion - slid(), axis=-1)
+def track(image):
+    return track_pins(LATTICE, detect_pins(image))
+
+
+def error(track, place=None):
+    place = slid() if place is None else place
+    return np.linalg.norm(LATTICE.rest + track.motion - place, axis=-1)
 
 
 def test_a_clean_image():
-    track = track_pins(LATTICE, detect_pins(picture(slid())))
-    assert track.identified and track.visible.all() and track.extra == 0
-    assert np.sqrt(np.mean(error(track) ** 2)) < 0.15 and error(track).max() < 0.4
+    found = track(picture(slid()))
+    assert found.identified and found.visible.all() and found.extra == 0
+    assert np.sqrt(np.mean(error(found) ** 2)) < 0.15 and error(found).max() < 0.4
 
 
 def test_a_glint_that_touches_a_pin_does_not_draw_it_away():
     pin = 331 - 30
     outward = (PLACE[pin] - 127.5) / np.linalg.norm(PLACE[pin] - 127.5)
-    glint = slid()[pin] + 4.4 * outward
-    image = picture(np.vstack([slid(), glint]), np.append(np.full(331, RADIUS), 1.9))
-    track = track_pins(LATTICE, detect_pins(image))
-    assert track.identified and track.visible[pin] and error(track)[pin] < 0.8
-    np.testing.assert_array_less(np.delete(error(track), pin), 0.5)
+    places = np.vstack([slid(), slid()[pin] + 4.4 * outward])
+    found = track(picture(places, np.append(np.full(331, RADIUS), 1.9)))
+    assert found.identified and found.visible[pin] and error(found)[pin] < 0.8
+    np.testing.assert_array_less(np.delete(error(found), pin), 0.5)
 
 
-def test_faint_pins_are_seen():
-    radius = np.full(331, RADIUS)
-    faint = [7, 150, 260]
-    radius[faint] = 1.5
-    track = track_pins(LATTICE, detect_pins(picture(slid(), radius)))
-    assert track.identified and track.visible[faint].all() and error(track)[faint].max() < 0.5
+def test_faint_pins_are_seen_and_those_that_are_not_there_are_not_made_up():
+    radius, some = np.full(331, RADIUS), [7, 150, 260]
+    radius[some] = 1.5
+    found = track(picture(slid(), radius))
+    assert found.identified and found.visible[some].all() and error(found)[some].max() < 0.5
+    gone = track(picture(np.delete(slid(), some, axis=0)))
+    assert not gone.visible[some].any() and gone.missed == 3
 
 
 def test_a_large_pin_off_its_neighbours_stands_where_it_is_seen():
@@ -62,15 +67,8 @@ def test_a_large_pin_off_its_neighbours_stands_where_it_is_seen():
     # a lever that turns at an edge; a window smaller than the pin finds white wherever it looks
     place[100] += [0.0, 1.3]
     radius[100] *= 1.1
-    track = track_pins(LATTICE, detect_pins(picture(place, radius)))
-    assert track.identified and track.max_offset > 0.1
-    assert np.linalg.norm(LATTICE.rest + track.motion - place, axis=-1)[100] < 0.2
-
-
-def test_pins_that_are_not_there_are_not_made_up():
-    gone = [7, 150, 260]
-    track = track_pins(LATTICE, detect_pins(picture(np.delete(slid(), gone, axis=0))))
-    assert not track.visible[gone].any() and track.missed == 3
+    found = track(picture(place, radius))
+    assert found.identified and found.max_offset > 0.1 and error(found, place)[100] < 0.2
 
 
 @pytest.mark.parametrize("columns", [0, 120, SIZE])
@@ -78,5 +76,5 @@ def test_an_image_that_shows_less_is_not_sure(columns):
     """Show no pins, half of them, and white alone."""
     image = np.full((SIZE, SIZE), 255, np.uint8) if columns == SIZE else picture(slid())
     image[:, columns:] = 0
-    track = track_pins(LATTICE, detect_pins(image))
-    assert not track.identified and (columns == 120 or not track.visible.any())
+    found = track(image)
+    assert not found.identified and (columns == 120 or not found.visible.any())

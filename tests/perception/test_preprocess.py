@@ -1,5 +1,7 @@
 """Preprocessing against scikit-image, and `prepare_frame` on frames of every kind, good and bad."""
 
+from functools import partial
+
 import jax
 import numpy as np
 import pytest
@@ -28,14 +30,12 @@ from jaxunshear.simulator.camera import compute_outer_fraction, project, render_
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 
 CAMERA = Camera()
+OUTER = compute_outer_fraction(CAMERA, TACTIP_331)
 SIZES = pytest.mark.parametrize("size", [128, 256])
 
 
 def binarise_reference(preprocess, grey):
-    """Binarise one (H, H) crop by scikit-image, in the order of published pipelines.
-
-    `binarise` must agree with it.
-    """
+    """Binarise one (H, H) crop by scikit-image, in the order of published pipelines."""
     small = resize_local_mean(np.asarray(grey, np.float64), (preprocess.size, preprocess.size))
     block = 2 * round(preprocess.block * preprocess.size / 2) + 1
     threshold = threshold_local(
@@ -43,7 +43,12 @@ def binarise_reference(preprocess, grey):
     )
     away = np.hypot(*(np.mgrid[: preprocess.size, : preprocess.size] + 0.5 - preprocess.size / 2))
     white = (small > threshold) & (away <= preprocess.mask_radius * preprocess.size)
-    return white.astype(np.uint8) * np.uint8(255)
+    return np.where(white, np.uint8(255), np.uint8(0))
+
+
+def check_agreement(preprocess, image, grey):
+    """Check an image, of a crop, against scikit-image's."""
+    assert np.mean(np.asarray(image) == binarise_reference(preprocess, grey)) >= 0.999
 
 
 def pressed(seed):
@@ -57,17 +62,14 @@ def pressed(seed):
 @pytest.fixture(scope="module")
 def frames():
     """Four undeformed and four pressed frames (8, F, F)."""
-    tips = np.stack([compute_pin_tips(TACTIP_331)] * 4 + [pressed(seed) for seed in range(4)])
+    tips = np.float32([compute_pin_tips(TACTIP_331)] * 4 + [pressed(seed) for seed in range(4)])
     keys = jax.random.split(jax.random.key(3), len(tips))
-    render = jax.vmap(lambda tip, key: render_frame(CAMERA, TACTIP_331, Nuisance(), tip, key))
-    return np.asarray(render(tips.astype(np.float32), keys))
+    draw = jax.vmap(lambda tip, key: render_frame(CAMERA, TACTIP_331, Nuisance(), tip, key))
+    return np.asarray(draw(tips, keys))
 
 
 def photograph(square, height=480, width=640, side=400, top=30, left=150, light=0.75):
-    """Make a colour photograph (height, width, 3) uint8 of the frame.
-
-    The square frame lies in a light surround.
-    """
+    """Make a colour photograph (height, width, 3) uint8 of the frame, in a light surround."""
     small = np.asarray(Image.fromarray(square).resize((side, side), Image.Resampling.BOX))
     full = np.full((height + 400, width + 400), light, np.float32)
     full[200 + top : 200 + top + side, 200 + left : 200 + left + side] = small
@@ -81,31 +83,26 @@ def test_agrees_with_scikit_image_on_simulated_frames(frames, size):
     ours = np.asarray(jax.jit(binarise, static_argnums=0)(preprocess, frames))
     assert ours.shape == (8, size, size)
     assert set(np.unique(ours)) == {0, 255}
-    theirs = np.stack([binarise_reference(preprocess, grey) for grey in frames])
-    assert np.mean(ours == theirs) >= 0.999
+    for image, frame in zip(ours, frames, strict=True):
+        check_agreement(preprocess, image, frame)
 
 
 @pytest.mark.parametrize(("before", "size"), [(100, 128), (425, 128), (425, 256), (97, 64)])
 def test_agrees_with_scikit_image_at_uneven_ratios(before, size):
     smooth = np.random.default_rng(0).random((before // 5 + 1, before // 5 + 1)).astype(np.float32)
     grey = np.kron(smooth, np.ones((5, 5), np.float32))[:before, :before]
-    preprocess = Preprocess(size=size)
-    ours, theirs = binarise(preprocess, grey), binarise_reference(preprocess, grey)
-    assert np.mean(np.asarray(ours) == theirs) >= 0.999
+    check_agreement(Preprocess(size=size), binarise(Preprocess(size=size), grey), grey)
 
 
 def test_vmap_equals_a_batch_and_a_single_frame(frames):
-    preprocess = Preprocess()
-    batch = np.asarray(binarise(preprocess, frames))
-    np.testing.assert_array_equal(jax.vmap(lambda grey: binarise(preprocess, grey))(frames), batch)
-    np.testing.assert_array_equal(binarise(preprocess, frames[0]), batch[0])
-    pairs = binarise(preprocess, frames.reshape(2, 4, *frames.shape[1:]))
-    np.testing.assert_array_equal(pairs[1, 2], batch[6])
-
-
-def test_what_is_not_square_is_refused():
+    run = partial(binarise, Preprocess())
+    batch = np.asarray(run(frames))
+    np.testing.assert_array_equal(jax.vmap(run)(frames), batch)
+    np.testing.assert_array_equal(run(frames[0]), batch[0])
+    nested = run(frames.reshape(2, 4, *frames.shape[1:]))
+    np.testing.assert_array_equal(nested.reshape(batch.shape), batch)
     with pytest.raises(ValueError, match=r"\(64, 32\)"):
-        binarise(Preprocess(), np.zeros((64, 32)))
+        run(np.zeros((64, 32)))
 
 
 @SIZES
@@ -113,9 +110,9 @@ def test_every_pin_of_an_undeformed_frame_is_found_where_it_is(frames, size):
     preprocess = Preprocess(size=size)
     images = np.asarray(binarise(preprocess, frames[:4]))
     assert [len(find_pins(image)) for image in images] == [331] * 4
-    tips = project(CAMERA, compute_pin_tips(TACTIP_331), TACTIP_331)
-    true = to_image_px(CAMERA, preprocess, tips)
-    error = measure_pin_error(images, np.tile(np.asarray(true)[None], (4, 1, 1)), limit_px=5.0)
+    projected = project(CAMERA, compute_pin_tips(TACTIP_331), TACTIP_331)
+    true = np.asarray(to_image_px(CAMERA, preprocess, projected))
+    error = measure_pin_error(images, np.tile(true[None], (4, 1, 1)), limit_px=5.0)
     assert error["missed_per_image"] == error["extra_per_image"] == 0
     assert error["rms_px"] < 0.3
 
@@ -135,7 +132,7 @@ def test_the_dome_is_found_wherever_it_lies(frames, side, top, left, size):
     found = find_pins(prepare_frame(Preprocess(size=size), photo))
     assert abs(len(found) - 331) <= 1
     reach = np.hypot(*(found - (size - 1) / 2).T).max() / size
-    assert reach == pytest.approx(compute_outer_fraction(CAMERA, TACTIP_331), abs=0.01)
+    assert reach == pytest.approx(OUTER, abs=0.01)
 
 
 @pytest.fixture(scope="module")
@@ -174,24 +171,22 @@ def test_a_bbox_is_obeyed(frames):
 
 
 @pytest.mark.parametrize(
-    "kind",
-    ["uint16", "twelve_bits", "float", "float_of_16_bits", "rgba", "one_channel", "grey_alpha"],
+    "convert",
+    [
+        lambda grey: grey.astype(np.uint16) * 257,
+        lambda grey: np.round(grey * (4095 / 255)).astype(np.uint16),  # twelve bits
+        lambda grey: grey / 255,
+        lambda grey: grey * 257.0,
+        lambda grey: np.stack([grey, grey, grey, np.full_like(grey, 255)], -1),
+        lambda grey: grey[..., None],
+        lambda grey: np.stack([grey, np.full_like(grey, 255)], -1),
+    ],
+    ids=["uint16", "twelve_bits", "float", "float_of_16_bits", "rgba", "one_channel", "grey_alpha"],
 )
-def test_number_types_and_channels_do_not_matter(frames, kind):
-    photo = photograph(frames[0])
-    grey = np.round(255 * to_grey(photo)).astype(np.uint8)
-    other = {
-        "uint16": grey.astype(np.uint16) * 257,
-        "twelve_bits": np.round(grey * (4095 / 255)).astype(np.uint16),
-        "float": grey / 255,
-        "float_of_16_bits": grey * 257.0,
-        "rgba": np.concatenate(
-            [np.repeat(grey[..., None], 3, -1), np.full_like(grey, 255)[..., None]], -1
-        ),
-        "one_channel": grey[..., None],
-        "grey_alpha": np.stack([grey, np.full_like(grey, 255)], -1),
-    }[kind]
-    assert np.mean(prepare_frame(Preprocess(), other) == prepare_frame(Preprocess(), grey)) > 0.999
+def test_number_types_and_channels_do_not_matter(frames, convert):
+    grey = np.round(255 * to_grey(photograph(frames[0]))).astype(np.uint8)
+    images = [prepare_frame(Preprocess(), each) for each in (convert(grey), grey)]
+    assert np.mean(images[0] == images[1]) > 0.999
 
 
 @pytest.mark.parametrize(
@@ -206,10 +201,7 @@ def test_number_types_and_channels_do_not_matter(frames, kind):
         (np.full((40, 40), 1.2), 1),
         (np.full((40, 40), 200.0), 255),
         (np.where(np.arange(1600).reshape(40, 40) == 7, 2.0, 0.5), 1),
-        (
-            np.dstack([np.full((40, 40, 3), 4000, np.uint16), np.full((40, 40), 65535, np.uint16)]),
-            4095,
-        ),
+        (np.full((40, 40, 4), [4000, 4000, 4000, 65535], np.uint16), 4095),
     ],
 )
 def test_white_is_the_range_that_a_camera_fills(frame, white):
@@ -218,12 +210,14 @@ def test_white_is_the_range_that_a_camera_fills(frame, white):
 
 def test_a_darker_frame_of_the_same_camera_has_the_same_white(frames):
     grey = to_grey(photograph(frames[0]))
-    unit = np.quantile(grey, 0.999)
-    bright, dark = [np.round(most / unit * grey).astype(np.uint16) for most in (1100, 1000)]
-    image, differences = prepare_frame(Preprocess(), bright), []
-    for view in (View(None, (("uint16", find_white_level(bright)),)), View()):
-        differences.append(np.mean(image != prepare_frame(Preprocess(), dark, view)))
-    assert differences[0] < 0.5 * differences[1], differences
+    grey = grey / np.quantile(grey, 0.999)
+    bright, dark = (np.round(most * grey).astype(np.uint16) for most in (1100, 1000))
+    shared = View(None, (("uint16", find_white_level(bright)),))
+    expected = prepare_frame(Preprocess(), bright)
+    other, off = (
+        np.mean(prepare_frame(Preprocess(), dark, view) != expected) for view in (shared, View())
+    )
+    assert other < 0.5 * off, (other, off)
 
 
 def test_frames_of_other_types_in_a_folder_keep_their_white(frames):
@@ -237,17 +231,20 @@ def test_frames_of_other_types_in_a_folder_keep_their_white(frames):
         np.testing.assert_array_equal(prepare_frame(Preprocess(), raw, view), alone)
 
 
-@pytest.mark.parametrize("kind", ["uint8", "bool", "zero_one", "grey", "jpeg"])
-def test_a_binary_frame_is_not_thresholded_again(frames, kind):
+@pytest.mark.parametrize(
+    "convert",
+    [
+        lambda image: image,
+        lambda image: image > 0,
+        lambda image: image // 255,
+        lambda image: np.minimum(image, 100),
+        lambda image: np.clip(image, 8, 246),
+    ],
+    ids=["uint8", "bool", "zero_one", "grey", "jpeg"],
+)
+def test_a_binary_frame_is_not_thresholded_again(frames, convert):
     image = np.asarray(binarise(Preprocess(size=128), frames[0]))
-    other = {
-        "uint8": image,
-        "bool": image > 0,
-        "zero_one": image // 255,
-        "grey": np.minimum(image, 100),
-        "jpeg": np.clip(image, 8, 246),
-    }[kind]
-    np.testing.assert_array_equal(prepare_frame(Preprocess(size=128), other), image)
+    np.testing.assert_array_equal(prepare_frame(Preprocess(size=128), convert(image)), image)
 
 
 @pytest.mark.parametrize("kind", [bool, np.uint8])
@@ -258,8 +255,8 @@ def test_the_quick_way_for_black_and_white_gives_what_the_long_one_does(kind, si
     for shape in ((96, 96), (64, 96)):
         raw = generator.random(shape) > 0.7
         raw = raw if kind is bool else raw.astype(np.uint8) * np.uint8(255)
-        assert grey.find_white_pixels(raw) is not None
         wider = raw.astype(np.float32 if kind is bool else np.uint16)  # goes the long way
+        assert grey.find_white_pixels(raw) is not None
         quick, long = (
             prepare_frame(Preprocess(size=size), each, View(box)) for each in (raw, wider)
         )
@@ -269,11 +266,9 @@ def test_the_quick_way_for_black_and_white_gives_what_the_long_one_does(kind, si
 
 def test_a_binary_frame_of_another_framing_is_brought_to_ours(frames):
     image = np.asarray(binarise(Preprocess(size=512), frames[0]))
-    closer = image[50:-50, 50:-50]
-    found = find_pins(prepare_frame(Preprocess(size=256), closer))
+    found = find_pins(prepare_frame(Preprocess(size=256), image[50:-50, 50:-50]))
     assert abs(len(found) - 331) <= 1
-    outer = compute_outer_fraction(CAMERA, TACTIP_331)
-    assert np.hypot(*(found - 127.5).T).max() / 256 == pytest.approx(outer, abs=0.015)
+    assert np.hypot(*(found - 127.5).T).max() / 256 == pytest.approx(OUTER, abs=0.015)
 
 
 @pytest.mark.parametrize(
@@ -299,17 +294,15 @@ def test_what_is_no_image_is_refused(raw, says):
 @SIZES
 def test_real_frames(real_recordings, number, size):
     raw = np.asarray(Image.open(real_recordings / "raw" / f"image_{number}.png"))
-    preprocess = Preprocess(size=size)
-    grey = to_grey(raw)
+    preprocess, grey = Preprocess(size=size), to_grey(raw)
     square = crop_frame(grey, find_dome(grey, preprocess.outer_pins))
     image = prepare_frame(preprocess, raw)
-    theirs = binarise_reference(preprocess, square)
-    assert np.mean(np.asarray(binarise(preprocess, square)) == theirs) >= 0.999
-    assert np.mean(image == theirs) >= 0.999
+    for each in (image, binarise(preprocess, square)):
+        check_agreement(preprocess, each, square)
     found = find_pins(image)
     assert abs(len(found) - 331) <= 3
     outermost = np.sort(np.hypot(*(found - found.mean(0)).T))[-60:].mean() / size
-    assert outermost == pytest.approx(compute_outer_fraction(CAMERA, TACTIP_331), abs=0.01)
+    assert outermost == pytest.approx(OUTER, abs=0.01)
 
 
 @pytest.mark.parametrize("grey", [False, True])

@@ -1,5 +1,6 @@
 """Outlines as points, counter-clockwise, by other means than the package's, and their distances."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -36,38 +37,36 @@ def leaf():
     tip = np.sqrt(55**2 - 32**2)
     steep = np.degrees(np.arctan2(32, tip))
     sides = [arc(0, -32, 56, steep, 180 - steep), arc(0, 32, 56, 180 + steep, 360 - steep)]
-    return np.concatenate(
-        [
-            sides[0],
-            arc(-tip, 0, 1, 180 - steep, 180 + steep),
-            sides[1],
-            arc(tip, 0, 1, -steep, steep),
-        ]
-    )
+    tips = [arc(-tip, 0, 1, 180 - steep, 180 + steep), arc(tip, 0, 1, -steep, steep)]
+    return np.concatenate([sides[0], tips[0], sides[1], tips[1]])
+
+
+def polar(radius, angle):
+    return radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
 def flower():
     angle = np.linspace(0, 2 * np.pi, 20001)
-    return (38 + 7 * np.cos(5 * angle))[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    return polar(38 + 7 * np.cos(5 * angle), angle)
 
 
 def spiral(inner, pitch, turns, half_width):
     angle = np.linspace(0, 2 * np.pi * turns, 20001)
-    spine = (inner + pitch * angle / (2 * np.pi))[:, None] * np.stack(
-        [np.cos(angle), np.sin(angle)], -1
-    )
-    tangent = np.gradient(spine, angle, axis=0, edge_order=2)
-    across = np.stack([tangent[:, 1], -tangent[:, 0]], -1) / np.linalg.norm(
-        tangent, axis=-1, keepdims=True
-    )
+    spine = polar(inner + pitch * angle / (2 * np.pi), angle)
+    across = normals(np.gradient(spine, angle, axis=0, edge_order=2))
     begin, end = (np.degrees(np.arctan2(*across[at, ::-1])) for at in (0, -1))
     caps = [
         arc(*spine[-1], half_width, end, end + 180),
         arc(*spine[0], half_width, begin + 180, begin + 360),
     ]
-    return np.concatenate(
-        [spine + half_width * across, caps[0], (spine - half_width * across)[::-1], caps[1]]
-    )
+    sides = spine + half_width * across, (spine - half_width * across)[::-1]
+    return np.concatenate([sides[0], caps[0], sides[1], caps[1]])
+
+
+def normals(along):
+    """Unit normals (N, 2) to the right of directions (N, 2)."""
+    across = np.stack([along[:, 1], -along[:, 0]], -1)
+    return across / np.linalg.norm(along, axis=-1, keepdims=True)
 
 
 OUTLINES = {
@@ -91,14 +90,13 @@ def dense(corners):
     """Points (K, 2) no more than SPACING_MM apart on the closed line through corners (V, 2)."""
     corners = np.concatenate([corners, corners[:1]])
     corners = corners[np.append(True, np.linalg.norm(np.diff(corners, axis=0), axis=-1) > 1e-9)]
-    step = np.linalg.norm(np.diff(corners, axis=0), axis=-1)
+    way = np.append(0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=-1)))
     pieces = [
-        begin
-        + (end - begin)
-        * np.linspace(0, 1, int(np.ceil(length / SPACING_MM)), endpoint=False)[:, None]
-        for begin, end, length in zip(corners[:-1], corners[1:], step, strict=True)
+        np.linspace(begin, end, int(np.ceil((end - begin) / SPACING_MM)), endpoint=False)
+        for begin, end in pairwise(way)
     ]
-    return np.concatenate(pieces)
+    along = np.concatenate(pieces)
+    return np.stack([np.interp(along, way, line) for line in corners.T], -1)
 
 
 def truth(line, xy):
@@ -111,27 +109,17 @@ def truth(line, xy):
         along = line[(near + shift + 1) % len(line)] - begin
         share = np.clip(np.sum((xy - begin) * along, -1) / np.sum(along * along, -1), 0, 1)
         feet.append(begin + share[:, None] * along)
-        flats.append(
-            np.stack([along[:, 1], -along[:, 0]], -1)
-            / np.linalg.norm(along, axis=-1, keepdims=True)
-        )
+        flats.append(normals(along))
     apart = np.linalg.norm(xy - np.stack(feet), axis=-1)
     pick = np.argmin(apart, axis=0), np.arange(len(xy))
     far, away = apart[pick], xy - np.stack(feet)[pick]
     signed = np.where(points_in_poly(xy, line), -far, far)
-    radial = (
-        away / np.maximum(signed, 1e-12, where=signed > 0, out=np.minimum(signed, -1e-12))[:, None]
-    )
-    normal = np.where((far > 1e-3)[:, None], radial, np.stack(flats)[pick])
+    is_off = far > 1e-3
+    radial = away / np.where(is_off, signed, 1)[:, None]
+    normal = np.where(is_off[:, None], radial, np.stack(flats)[pick])
     clear = np.ones(len(xy), bool)
-    for row, (reach, others) in enumerate(
-        zip(far, tree.query_ball_point(xy, 1.02 * far), strict=True)
-    ):
-        if reach > 1e-3:
-            seen = (
-                (line[others] - xy[row])
-                @ away[row]
-                / (np.linalg.norm(line[others] - xy[row], axis=-1) * reach)
-            )
-            clear[row] = np.all(seen < -np.cos(np.radians(40)))
+    for row in np.flatnonzero(is_off):
+        ways = line[tree.query_ball_point(xy[row], 1.02 * far[row])] - xy[row]
+        seen = ways @ away[row] / (np.linalg.norm(ways, axis=-1) * far[row])
+        clear[row] = np.all(seen < -np.cos(np.radians(40)))
     return Truth(signed, normal, clear)

@@ -3,7 +3,6 @@
 import hashlib
 import io
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -31,7 +30,7 @@ from jaxunshear.simulator.harmonics import make_sixfold_permutations
 from jaxunshear.simulator.pin_layout import compute_pin_levers, compute_pin_tips
 
 SMALL = Sensor(
-    name="small",
+    "small",
     dome_radius_mm=6.0,
     skin_mm=0.5,
     rings=3,
@@ -117,8 +116,8 @@ def test_extreme_materials_leave_it_positive_definite(ratio, poisson):
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_both_moduli_together_only_scale(scale):
     made, scaled = (compute_dome(with_modulus(1e4, 0.4999, gel)) for gel in (0.1, 0.1 * scale))
-    np.testing.assert_allclose(scale * scaled.w, made.w, atol=1e-9 * np.abs(made.w).max())
-    np.testing.assert_allclose(scale * scaled.g, made.g, atol=1e-9 * np.abs(made.g).max())
+    for before, after in ((made.w, scaled.w), (made.g, scaled.g)):
+        np.testing.assert_allclose(scale * after, before, atol=1e-9 * np.abs(before).max())
 
 
 def test_harmonics_that_a_ring_does_not_bear_add_little(small, monkeypatch):
@@ -128,8 +127,6 @@ def test_harmonics_that_a_ring_does_not_bear_add_little(small, monkeypatch):
 
 
 def test_sensitivity_is_the_derivative_by_the_moduli(cache, small):
-    dw, dg = load_sensitivity(SMALL)
-
     def compute_difference(field, step=1e-3):
         value = getattr(SMALL, field)
         above, below = (
@@ -137,34 +134,26 @@ def test_sensitivity_is_the_derivative_by_the_moduli(cache, small):
         )
         return (above.w - below.w) / (2 * step), (above.g - below.g) / (2 * step)
 
-    by_skin, by_gel = map(compute_difference, ("skin_modulus_mpa", "gel_modulus_mpa"))
-    for ours, theirs in zip(
-        (dw, dg, -small.w - dw, -small.g - dg), (*by_skin, *by_gel), strict=True
-    ):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-6 * np.abs(ours).max())
+    dw, dg = load_sensitivity(SMALL)
+    expected = {"skin_modulus_mpa": (dw, dg), "gel_modulus_mpa": (-small.w - dw, -small.g - dg)}
+    for field, slopes in expected.items():
+        for ours, theirs in zip(slopes, compute_difference(field), strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-6 * np.abs(ours).max())
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("field", "value"),
     [
-        {"dome_radius_mm": np.nan},
-        {"skin_mm": -1.0},
-        {"skin_mm": np.inf},
-        {"gel_modulus_mpa": 0.0},
-        {"skin_modulus_mpa": np.nan},
-        {"gel_poisson": 0.5},
-        {"skin_poisson": np.nan},
-        {"layout": "square"},
-        {"pin_length_mm": -0.1},
-        {"rings": 0},
-        {"rings": 30},
+        *(("dome_radius_mm", np.nan), ("skin_mm", -1.0), ("skin_mm", np.inf)),
+        *(("gel_modulus_mpa", 0.0), ("skin_modulus_mpa", np.nan)),
+        *(("gel_poisson", 0.5), ("skin_poisson", np.nan)),
+        *(("layout", "square"), ("pin_length_mm", -0.1), ("rings", 0), ("rings", 30)),
     ],
 )
-def test_impossible_sensors_are_refused_by_field(cache, wrong):
-    (field,) = wrong
+def test_impossible_sensors_are_refused_by_field(cache, field, value):
     for attempt in (check_sensor, load_dome, compute_pin_tips):
         with pytest.raises(UserError, match=field):
-            attempt(replace(TACTIP_331, **wrong))
+            attempt(replace(TACTIP_331, **{field: value}))
     with pytest.raises(UserError, match="dome_radius_mm"):
         check_sensor(replace(TACTIP_127, skin_mm=21.0))
     assert not list(cache.iterdir())
@@ -233,9 +222,7 @@ def test_a_damaged_cache_file_is_reported_and_made_again(stored, small, capsys, 
 
 
 def test_other_settings_have_other_files(stored):
-    settings = str(_read(stored)["settings"])
-    assert json.loads(settings)["version"] == VERSION
-    assert hashlib.sha256(settings.encode()).hexdigest().startswith(stored.stem.split("-")[-1])
+    assert json.loads(str(_read(stored)["settings"]))["version"] == VERSION
     load_dome(replace(SMALL, gel_modulus_mpa=0.2))
     load_dome(replace(SMALL, name="../sly"))
     assert len(list(stored.parent.iterdir())) == 3
@@ -248,11 +235,7 @@ def test_two_processes_at_once_do_each_other_no_harm(cache, small):
         f"print(load_dome({SMALL!r}).w.sum())"
     )
     command = [sys.executable, "-c", code]
-    environment = {**os.environ, "JAXUNSHEAR_CACHE": str(cache)}
-    running = [
-        subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-        for _ in range(2)
-    ]
+    running = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     for process in running:
         assert float(process.communicate()[0]) == small.w.sum() and process.returncode == 0
     (path,) = cache.iterdir()

@@ -87,27 +87,12 @@ def test_tiny_frictions_give_stuck_from_slipping(system, friction):
         pose = jnp.zeros((1, 6)).at[:, 4].set(tilt)
         force = force @ compute_level_frame(pose)  # from the level frame to the sensor's
         problem = make_problem(system, 1, friction, tilted=bool(tilt))
-        return [
-            int(part[0]) for part in count_node_states(problem, Skin(force, force, force, pose))
-        ]
+        counts = count_node_states(problem, Skin(force, force, force, pose))
+        return np.concatenate(counts).tolist()
 
     assert count(held, 0.0) == count(held, 0.2) == [0, 99, 0]
     if friction > 1e-31:
         assert count(held.at[..., :2].multiply(0.5), 0.0) == [99, 0, 0]
-
-
-def test_no_friction_no_pull(system, slides):
-    skin, quality = follow(system, slides, 0.0)
-    assert np.all(quality.residual_mm <= quality.tolerance_mm)
-    force = np.asarray(skin.force)
-    assert not np.any(force[..., :2]) and np.any(force)
-
-
-def test_no_contact_needs_no_iteration(system):
-    poses = np.zeros((3, 2, 6))
-    poses[..., 3], poses[..., 0] = -0.01, np.linspace(0, 5, 3)[:, None]
-    skin, quality = follow(system, poses)
-    assert not any(map(np.any, (skin.force, skin.displacement, quality.iterations)))
 
 
 def test_a_scene_that_failed_is_not_waited_for_and_harms_no_other(system, slides):

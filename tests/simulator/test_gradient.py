@@ -41,8 +41,7 @@ def cache(tmp_path_factory):
         yield
 
 
-@pytest.fixture(scope="module")
-def paths():
+def draw_paths():
     """Press, slide, then slide on with a twist and a tilt."""
     generator, count = np.random.default_rng(3), len(FRICTION)
     points = np.zeros((count, 4, 6))
@@ -53,6 +52,15 @@ def paths():
     points[:, 3, 2] += generator.uniform(-10, 10, count)
     points[:, 3, 4:] = generator.uniform(-8, 8, (count, 2))
     return Paths(np.zeros(count, int), FRICTION, points)
+
+
+def draw_special_paths():
+    """Two that touch nothing, two that stick, and one that comes down until it just touches."""
+    points = np.zeros((5, 3, 6))
+    points[:, :, 0] = [[0, 1, 2], [0, -1, -2], [-3, -3, -2.99], [-3, -3, -2.99], [-3, -3, -3]]
+    points[2:4, 2, 1] = 0.005
+    points[:2, 1:, 3], points[2:4, 1:, 3], points[4, :, 3] = -0.01, 0.3, [-0.1, -0.05, 0]
+    return Paths(np.zeros(5, int), np.array([0.5, 0.0, 5.0, np.inf, 0.5]), points)
 
 
 class Gradient(NamedTuple):
@@ -66,10 +74,9 @@ class Gradient(NamedTuple):
 def push_tangents(model, points, friction):
     """Differentiate by one tangent for all scenes at once."""
     count, ways = len(points), points[0].size
+    each = jnp.eye(ways + 2, ways).reshape(-1, 1, *points.shape[1:])
     tangents = (
-        jnp.broadcast_to(
-            jnp.eye(ways + 2, ways).reshape(-1, 1, *points.shape[1:]), (ways + 2, *points.shape)
-        ),
+        jnp.broadcast_to(each, (ways + 2, *points.shape)),
         jnp.zeros((ways + 2, count)).at[ways].set(1.0),
         jnp.zeros(ways + 2).at[ways + 1].set(1.0),
     )
@@ -87,210 +94,179 @@ def push_tangents(model, points, friction):
     return Gradient(positions, by_points, slopes[..., ways], slopes[..., ways + 1])
 
 
-def differentiate(model, paths):
-    with jax.enable_x64(True):
-        points, friction = jnp.asarray(paths.points), jnp.asarray(paths.friction)
-        return jax.device_get(push_tangents(model, points, friction))
-
-
-@pytest.fixture(scope="module")
-def found(model, paths):
-    return differentiate(model, paths)
-
-
 def make_model(paths, sensor=SMALL, **options):
     with jax.enable_x64(True):
         return make_pin_model(sensor, DISK, paths, **options)
 
 
-@pytest.fixture(scope="module")
-def model(paths):
-    return make_model(paths)
-
-
 run = jax.jit(simulate_pins)
 
 
-def simulate_at(model, points, friction, log_ratio=None):
-    with jax.enable_x64(True):
-        log_ratio = model.log_ratio if log_ratio is None else jnp.asarray(np.float64(log_ratio))
-        return np.asarray(run(model, jnp.asarray(points), jnp.asarray(friction), log_ratio).pins)
+class Scenario:
+    """Paths, their model, and its derivatives."""
 
+    def __init__(self, paths):
+        self.paths, self.model = paths, make_model(paths)
+        with jax.enable_x64(True):
+            given = jnp.asarray(paths.points), jnp.asarray(paths.friction)
+            self.found = jax.device_get(push_tangents(self.model, *given))
 
-def compute_difference(model, points, friction, d_points=0.0, d_friction=0.0, d_log_ratio=0.0):
-    """Compute the central difference of the pins along a direction."""
-    ratio = float(model.log_ratio)
-    above, below = (
-        simulate_at(
-            model, points + h * d_points, friction + h * d_friction, ratio + h * d_log_ratio
+    def simulate(self, model=None, d_points=0.0, d_friction=0.0, d_log_ratio=0.0):
+        """Simulate the pins, perhaps of a changed model or with changed inputs."""
+        model = model or self.model
+        points, friction = self.paths.points + d_points, self.paths.friction + d_friction
+        with jax.enable_x64(True):
+            given = jnp.asarray(points), jnp.asarray(friction), model.log_ratio + d_log_ratio
+            return np.asarray(run(model, *given).pins)
+
+    def differ(self, **directions):
+        """Compute the central difference of the pins along a direction."""
+        above, below = (
+            self.simulate(**{name: h * way for name, way in directions.items()})
+            for h in (STEP, -STEP)
         )
-        for h in (STEP, -STEP)
-    )
-    return (above - below) / (2 * STEP)
+        return (above - below) / (2 * STEP)
+
+
+@pytest.fixture(scope="module")
+def moved():
+    return Scenario(draw_paths())
+
+
+@pytest.fixture(scope="module")
+def special():
+    return Scenario(draw_special_paths())
 
 
 def check_agreement(derivative, expected, rel=1e-3):
     for scene, (ours, theirs) in enumerate(zip(derivative, expected, strict=True)):
-        np.testing.assert_allclose(
-            ours, theirs, rtol=0, atol=rel * np.abs(theirs).max() + 1e-8, err_msg=f"scene {scene}"
-        )
+        atol = rel * np.abs(theirs).max() + 1e-8
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=atol, err_msg=f"scene {scene}")
 
 
-def test_scenes_hold_every_state_and_no_switch(paths, found):
-    assert found.positions.is_solved.all() and not found.positions.at_switch.any()
-    assert np.all(
-        found.positions.margin_mm > 5 * STEP
-    )  # else the differences below would prove nothing
+def test_scenes_hold_every_state_and_no_switch(moved):
+    positions = moved.found.positions
+    assert positions.is_solved.all() and not positions.at_switch.any()
+    # else the differences below would prove nothing
+    assert np.all(positions.margin_mm > 5 * STEP)
     with jax.enable_x64(True):
-        contacts, _ = follow(SMALL, DISK, paths, "reference")
+        contacts, _ = follow(SMALL, DISK, moved.paths, "reference")
     assert contacts.stuck_nodes.sum() > 9 and contacts.slipping_nodes.sum() > 20
     # finer increments
-    assert np.sqrt(np.mean(np.sum((contacts.pins - found.positions.pins) ** 2, -1))) < 0.02
+    assert np.sqrt(np.mean(np.sum((contacts.pins - positions.pins) ** 2, -1))) < 0.02
 
 
-def test_way_points_together(paths, model, found):
+def test_way_points_together(moved):
     """Along a direction that moves every coordinate of every way point but the first."""
     direction = np.random.default_rng(7).normal(size=(4, 6)) * [0.1, 0.1, 1, 0.1, 1, 1]
     direction[0] = 0
-    derivative = np.einsum("bpckx,kx->bpc", found.d_points, direction)
-    difference = compute_difference(model, paths.points, FRICTION, d_points=direction)
-    check_agreement(derivative, difference)
+    derivative = np.einsum("bpckx,kx->bpc", moved.found.d_points, direction)
+    check_agreement(derivative, moved.differ(d_points=direction))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("point", [1, 2, 3])
 @pytest.mark.parametrize("column", range(6), ids=("x", "y", "yaw", "depth", "tilt_x", "tilt_y"))
-def test_way_points(paths, model, found, point, column):
+def test_way_points(moved, point, column):
     direction = np.zeros((4, 6))
     direction[point, column] = 1
-    difference = compute_difference(model, paths.points, FRICTION, d_points=direction)
-    check_agreement(found.d_points[..., point, column], difference)
+    check_agreement(moved.found.d_points[..., point, column], moved.differ(d_points=direction))
 
 
-def test_friction(paths, model, found):
-    rubs = FRICTION > 0
-    difference = compute_difference(model, paths.points, FRICTION, d_friction=rubs.astype(float))
-    check_agreement(found.d_friction[rubs], difference[rubs])
-    here, more = (simulate_at(model, paths.points, FRICTION + h) for h in (0, STEP))
+def test_friction(moved):
+    rubs, slopes = FRICTION > 0, moved.found.d_friction
+    check_agreement(slopes[rubs], moved.differ(d_friction=rubs.astype(float))[rubs])
     # from none there is one way to go
-    check_agreement(found.d_friction[~rubs], (more - here)[~rubs] / STEP)
+    more = (moved.simulate(d_friction=STEP) - moved.simulate()) / STEP
+    check_agreement(slopes[~rubs], more[~rubs])
 
 
-def test_moduli(paths, model, found):
-    difference = compute_difference(model, paths.points, FRICTION, d_log_ratio=1.0)
-    check_agreement(found.d_log_ratio, difference)
+def test_moduli(moved):
+    check_agreement(moved.found.d_log_ratio, moved.differ(d_log_ratio=1.0))
     sides, step = [], 1e-3  # and between domes of other moduli, of which only the ratio counts
     for h in (step, -step):
         other = replace(SMALL, skin_modulus_mpa=5 * np.exp(h), gel_modulus_mpa=0.5)
-        sides.append(simulate_at(make_model(paths, other), paths.points, FRICTION))
-    smooth = found.positions.margin_mm > 1e-4
+        sides.append(moved.simulate(make_model(moved.paths, other)))
+    smooth = moved.found.positions.margin_mm > 1e-4
     assert smooth.any()
-    check_agreement(found.d_log_ratio[smooth], (sides[0] - sides[1])[smooth] / (2 * step))
+    slope = (sides[0] - sides[1]) / (2 * step)
+    check_agreement(moved.found.d_log_ratio[smooth], slope[smooth])
 
 
-def test_more_nodes_may_touch_than_foreseen(paths, model, found):
-    few = replace(model, max_touching=2)
-    np.testing.assert_allclose(
-        simulate_at(few, paths.points, FRICTION), found.positions.pins, atol=1e-9
-    )
+def test_more_nodes_may_touch_than_foreseen(moved):
+    few = moved.simulate(replace(moved.model, max_touching=2))
+    np.testing.assert_allclose(few, moved.found.positions.pins, atol=1e-9)
 
 
 @pytest.mark.long
-def test_backwards_equals_forwards_under_vmap(paths, model, found):
+def test_backwards_equals_forwards_under_vmap(moved):
+    found, model = moved.found, moved.model
     weights = np.random.default_rng(0).normal(size=found.positions.pins.shape)
-    close = {"rtol": 1e-6, "atol": 1e-8}
 
     def compute_loss(model, *x):
         return jnp.sum(weights * simulate_pins(model, *x).pins)
 
     with jax.enable_x64(True):
-        points, frictions = jnp.asarray(paths.points), jnp.asarray([FRICTION, 0.9 * FRICTION])
+        given = jnp.asarray(moved.paths.points), jnp.asarray([FRICTION, 0.9 * FRICTION])
         slopes = jax.vmap(jax.grad(compute_loss, (1, 2, 3)), (None, None, 0, None))
-        back = jax.device_get(jax.jit(slopes)(model, points, frictions, model.log_ratio))
-    by_points, by_friction, by_ratio = back
-    expected = np.einsum("bpc,bpckx->bkx", weights, found.d_points)
-    np.testing.assert_allclose(by_points[0], expected, **close)
-    expected = np.einsum("bpc,bpc->b", weights, found.d_friction)
-    np.testing.assert_allclose(by_friction[0], expected, **close)
-    np.testing.assert_allclose(by_ratio[0], np.sum(weights * found.d_log_ratio), **close)
-    moved = (FRICTION > 0).astype(float)
-    difference = compute_difference(model, paths.points, 0.9 * FRICTION, d_friction=moved)
-    expected = np.einsum("bpc,bpc->b", weights, difference)
-    np.testing.assert_allclose(by_friction[1] * moved, expected, rtol=1e-3, atol=1e-6)
+        back = jax.device_get(jax.jit(slopes)(model, *given, model.log_ratio))
+    forwards = (
+        np.einsum("bpc,bpckx->bkx", weights, found.d_points),
+        np.einsum("bpc,bpc->b", weights, found.d_friction),
+        np.sum(weights * found.d_log_ratio),
+    )
+    for one, other in zip(back, forwards, strict=True):
+        np.testing.assert_allclose(one[0], other, rtol=1e-6, atol=1e-8)
+    rubs = (FRICTION > 0).astype(float)
+    less = Paths(moved.paths.stimulus, 0.9 * FRICTION, moved.paths.points)
+    expected = np.einsum("bpc,bpc->b", weights, Scenario(less).differ(d_friction=rubs))
+    np.testing.assert_allclose(back[1][1] * rubs, expected, rtol=1e-3, atol=1e-6)
 
 
-@pytest.fixture(scope="module")
-def special():
-    """Two that touch nothing, two that stick, and one that comes down until it just touches."""
-    points = np.zeros((5, 3, 6))
-    points[:, :, 0] = [[0, 1, 2], [0, -1, -2], [-3, -3, -2.99], [-3, -3, -2.99], [-3, -3, -3]]
-    points[2:4, 2, 1] = 0.005
-    points[:2, 1:, 3], points[2:4, 1:, 3], points[4, :, 3] = -0.01, 0.3, [-0.1, -0.05, 0]
-    return Paths(np.zeros(5, int), np.array([0.5, 0.0, 5.0, np.inf, 0.5]), points)
-
-
-@pytest.fixture(scope="module")
-def special_model(special):
-    return make_model(special)
-
-
-@pytest.fixture(scope="module")
-def special_found(special, special_model):
-    return differentiate(special_model, special)
-
-
-def test_no_contact_has_no_derivative(special_found):
-    slopes = special_found.d_points, special_found.d_friction, special_found.d_log_ratio
+def test_no_contact_has_no_derivative(special):
+    positions, *slopes = special.found
     assert not any(np.any(slope[:2]) for slope in slopes)
-    assert special_found.positions.is_solved.all()
-    assert not special_found.positions.at_switch[:2].any()
+    assert positions.is_solved.all() and not positions.at_switch[:2].any()
     # the apex' gap after the first of three increments
-    assert special_found.positions.margin_mm[1] == pytest.approx(0.01 / 3)
+    assert positions.margin_mm[1] == pytest.approx(0.01 / 3)
 
 
-def test_pure_stick_does_not_depend_on_friction(special, special_found, special_model):
-    assert not np.any(special_found.d_friction[2:4])
+def test_pure_stick_does_not_depend_on_friction(special):
+    assert not np.any(special.found.d_friction[2:4])
     direction = np.zeros((3, 6))
     direction[2, 0] = 1
-    points, friction = special.points, special.friction
-    expected = compute_difference(special_model, points, friction, d_points=direction)
-    check_agreement(special_found.d_points[2:4, ..., 2, 0], expected[2:4])
-    # 5 sticks as infinity does
-    np.testing.assert_allclose(
-        special_found.positions.pins[2], special_found.positions.pins[3], atol=1e-9
-    )
+    slopes = special.found.d_points[2:4, ..., 2, 0]
+    check_agreement(slopes, special.differ(d_points=direction)[2:4])
+    strong, infinite = special.found.positions.pins[2:4]  # 5 sticks as infinity does
+    np.testing.assert_allclose(strong, infinite, atol=1e-9)
 
 
-def test_a_switch_is_flagged_and_one_sided(special, special_found, special_model):
+def test_a_switch_is_flagged_and_one_sided(special):
     """The dome just comes to the surface: less depth changes nothing, more depth does."""
-    assert list(special_found.positions.at_switch) == [False] * 4 + [True]
-    assert special_found.positions.margin_mm[4] < SWITCH_MM
-
-    def simulate_deeper(change):
-        points = special.points.copy()
-        points[4, 2, 3] += change
-        return simulate_at(special_model, points, special.friction)[4]
-
-    shallow, here, deep = (simulate_deeper(change) for change in (-1e-6, 0.0, 1e-6))
-    less, more = (here - shallow) / 1e-6, (deep - here) / 1e-6
+    assert list(special.found.positions.at_switch) == [False] * 4 + [True]
+    assert special.found.positions.margin_mm[4] < SWITCH_MM
+    deeper = np.zeros((5, 3, 6))
+    deeper[4, 2, 3] = STEP
+    shallow, here, deep = (special.simulate(d_points=sign * deeper)[4] for sign in (-1, 0, 1))
+    less, more = (here - shallow) / STEP, (deep - here) / STEP
     assert np.abs(more).max() > 0.1 and np.abs(less).max() < 1e-9
-    slope = special_found.d_points[4, ..., 2, 3]  # rounding decides which of the two
+    slope = special.found.d_points[4, ..., 2, 3]  # rounding decides which of the two
     assert min(np.abs(slope - less).max(), np.abs(slope - more).max()) < 1e-3 * np.abs(more).max()
 
 
 @pytest.mark.parametrize("name", ["auto", "default"])
-def test_shares_cut_a_path_as_the_plan_does(paths, name):
-    points = paths.points.copy()
-    points[0, 2:] = points[0, 1]  # legs without length
-    points[1, 1] = points[1, 0]
-    paths = replace(paths, points=points)
+def test_shares_cut_a_path_as_the_plan_does(name):
+    paths = draw_paths()
+    paths.points[0, 2:] = paths.points[0, 1]  # legs without length
+    paths.points[1, 1] = paths.points[1, 0]
     poses, _ = cut_increments(paths, LEVELS[name], SMALL.dome_radius_mm)
     shares = compute_path_shares(paths, LEVELS[name], SMALL.dome_radius_mm)
     np.testing.assert_allclose(np.einsum("btk,bkc->btc", shares, paths.radians), poses, atol=1e-12)
     np.testing.assert_allclose(shares.sum(-1), 1)
 
 
-def test_between_ratios_the_compliance_is_that_of_a_dome(paths):
+def test_between_ratios_the_compliance_is_that_of_a_dome():
+    paths = draw_paths()
     several = make_model(paths, ratios=(5.0, 10.0, 20.0))
     for ratio, most in ((10.0, 1e-12), (14.0, 1e-3)):  # at a knot, between
         single = make_model(paths, replace(SMALL, skin_modulus_mpa=0.1 * ratio))

@@ -51,11 +51,8 @@ def displacement(response: np.ndarray, source: int, direction: np.ndarray) -> np
         load = (cylindrical(direction) * hat(source) * wave).mean(-1)  # of exp(i m theta)
         load = load * np.array([1, 1j, 1])  # u_theta = -i V
         answer = response[m].reshape(-1, 3, RINGS, 3)[:, :, ring] @ load
-        total += (
-            (1 if m == 0 else 2)
-            * (answer * np.array([1, -1j, 1]))[..., None]
-            * np.exp(1j * m * FINE)
-        )
+        answer = answer * np.array([1, -1j, 1]) * (1 if m == 0 else 2)
+        total += answer[..., None] * np.exp(1j * m * FINE)
     return total.real
 
 
@@ -68,11 +65,8 @@ def test_sums_are_integrals(made_up, source):
     for axis in range(3):
         around = displacement(between, source, np.eye(3)[axis])
         for target in range(19):
-            seen = around[make_ring_lattice(RINGS)[0][target]]
-            mean = [
-                (cylindrical(unit) * seen * hat(target)).sum(0).mean() * 2 * np.pi
-                for unit in np.eye(3)
-            ]
+            seen = around[make_ring_lattice(RINGS)[0][target]] * hat(target) * 2 * np.pi
+            mean = [(cylindrical(unit) * seen).sum(0).mean() for unit in np.eye(3)]
             np.testing.assert_allclose(w[target, :, source, axis], mean, atol=1e-4)
         around = displacement(fields, source, np.eye(3)[axis])
         for point, place in enumerate([0, 1, 1]):

@@ -22,15 +22,16 @@ def make_taps(shape, pose):
 
 
 def test_samples_stay_in_range_and_repeat():
-    first, again = (
-        sample_poses(np.random.default_rng(3), 500, 5.0, 45.0, (1.0, 6.0)) for _ in range(2)
-    )
+    def sample(count=500):
+        return sample_poses(np.random.default_rng(3), count, 5.0, 45.0, (1.0, 6.0))
+
+    first, again = sample(), sample()
     np.testing.assert_array_equal(first, again)
     assert np.all(np.abs(first[:, :2]) <= 5) and np.all(np.abs(first[:, 2]) <= 45)
     assert first[:, 3].min() >= 1 and 5.5 < first[:, 3].max() <= 6
     assert np.all(np.abs(sample_slides(np.random.default_rng(0), 500, 2.5)) <= 2.5)
     with pytest.raises(UserError, match="poses = 0"):
-        sample_poses(np.random.default_rng(0), 0, 5.0, 45.0, (1.0, 6.0))
+        sample(0)
 
 
 DISK_POSES = [[2.0, 0.0, 0.0, 1.0], [-3.0, 0.0, 30.0, 1.0], [0.0, 4.0, -45.0, 1.0]]
@@ -102,8 +103,5 @@ def test_a_path_twists_on_its_way_to_the_pose_and_keeps_its_tilt():
     points = make_paths(make_scenes(("disk",), np.zeros(1, int), pose, move)).points[0]
     pressed = [0.5, -1.5, 35.0, 3.0, 4.0, -20.0]  # straight down
     np.testing.assert_array_equal(points, [[*pressed[:3], 0.0, *pressed[4:]], pressed, pose[0]])
-
-
-def test_poses_without_tilt_are_upright():
-    upright = make_paths(make_taps("disk", np.array([[2.0, -1.0, 30.0, 3.0]]))).points
+    upright = make_paths(make_taps("disk", pose[:, :4])).points
     np.testing.assert_array_equal(upright[0, -1], [2.0, -1.0, 30.0, 3.0, 0.0, 0.0])

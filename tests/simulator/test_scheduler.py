@@ -12,16 +12,8 @@ from jaxunshear.simulator.harmonics import make_sixfold_permutations
 from jaxunshear.simulator.level import LEVELS
 from jaxunshear.simulator.paths import Paths, cut_increments, make_paths
 from jaxunshear.simulator.scene import make_scenes, sample_poses, sample_slides
-from jaxunshear.simulator.scheduler import Simulation, make_plan, pad_count
-from jaxunshear.simulator.stimuli import (
-    REACH_MM,
-    STIMULI,
-    TRAINING,
-    Stimulus,
-    compute_signed_distance,
-    interpolate_distance,
-    sample_obstacles,
-)
+from jaxunshear.simulator.scheduler import Simulation, make_plan
+from jaxunshear.simulator.stimuli import STIMULI, TRAINING, Stimulus, compute_signed_distance
 
 AUTO = Simulation(TACTIP_331, TRAINING, LEVELS["auto"])
 
@@ -95,21 +87,17 @@ def test_strong_friction_is_pressed_by_short_increments():
     assert cut_increments(paths, LEVELS["auto"], 20.0)[1].tolist() == [2, 2, 6]
 
 
-def test_padding():
-    assert [pad_count(count, (4, 16)) for count in (1, 4, 5, 16, 17)] == [4, 4, 16, 16, 17]
-
-
-def test_sampled_obstacles_agree_with_the_shapes():
+@pytest.mark.parametrize("index", range(len(STIMULI)), ids=STIMULI)
+def test_sampled_obstacles_agree_with_the_shapes(index):
     points = jnp.asarray(np.random.default_rng(0).uniform(-15, 15, (1, 500, 2)), jnp.float32)
+    stimulus = tuple(STIMULI.values())[index]
+    exact = np.asarray(compute_signed_distance(stimulus, points))
     obstacles = sample_obstacles(tuple(STIMULI))
-    for index, stimulus in enumerate(STIMULI.values()):
-        exact = np.asarray(compute_signed_distance(stimulus, points))
-        sampled = np.asarray(interpolate_distance(obstacles, jnp.asarray([index]), points))
-        if stimulus.name == "surface":  # has no edge within reach
-            assert exact.max() < -5 and sampled.max() < -5
-        else:
-            error = np.abs(sampled - exact)[np.abs(exact) < 5]
-            assert np.percentile(error, 95) < 0.01, stimulus.name
+    sampled = np.asarray(interpolate_distance(obstacles, jnp.asarray([index]), points))
+    if stimulus.name == "surface":  # has no edge within reach
+        assert exact.max() < -5 and sampled.max() < -5
+    else:
+        assert np.percentile(np.abs(sampled - exact)[np.abs(exact) < 5], 95) < 0.01
 
 
 @pytest.mark.parametrize("index", range(3))

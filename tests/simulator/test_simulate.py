@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jaxunshear.config.sensor import TACTIP_331, TACTIP_331_FITTED
 from jaxunshear.errors import UserError
@@ -36,6 +37,10 @@ def make_scene(depth, x=0.0, move=(0.0, 0.0), yaw=0.0, friction=0.3):
 
 def make_path(*points, friction=0.5):
     return Paths(np.zeros(1, int), np.array([friction]), np.array([points], float))
+
+
+def simulate_path(*points, friction=0.5):
+    return follow(TACTIP_331, DISK, make_path(*points, friction=friction))[0]
 
 
 def compute_rms_mm(pins, others):
@@ -122,11 +127,11 @@ def test_a_scene_turned_by_a_sixth_has_the_same_answer_turned():
         simulate(TACTIP_331, DISK, make_scene(2.0, x=-25.0, move=(1.5, 0.0), yaw=yaw))
         for yaw in (0.0, -60.0)
     )
-    cos, sin = np.cos(np.radians(60)), np.sin(np.radians(60))
-    rotation = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    rotation = Rotation.from_euler("z", 60, degrees=True)
     tolerance = 2e-3 * straight.force_n[0, 2]
-    np.testing.assert_allclose(turned.force_n[0], rotation @ straight.force_n[0], atol=tolerance)
-    apart = (straight.pins[0] @ rotation.T)[:, None] - turned.pins[0][None]
+    expected = rotation.apply(straight.force_n[0])
+    np.testing.assert_allclose(turned.force_n[0], expected, atol=tolerance)
+    apart = rotation.apply(straight.pins[0])[:, None] - turned.pins[0][None]
     assert np.linalg.norm(apart, axis=-1).min(1).max() < 5e-3
 
 
@@ -164,13 +169,14 @@ def test_a_motion_in_two_parts_is_the_motion():
 
 
 def test_twist_turns_the_skin_and_a_mirrored_twist_mirrors_it():
-    moved = {}
-    for angle in (20.0, -20.0):
-        points = [-25, 0, 0, 0, 0, 0], [-25, 0, 0, 3, 0, 0], [-25, 0, angle, 3, 0, 0]
-        moved[angle] = follow(TACTIP_331, DISK, make_path(*points))[0].pins[0] - REST
-    around = (REST[:, 0] * moved[20.0][:, 1] - REST[:, 1] * moved[20.0][:, 0])[1:7]
+    start, pressed = [-25, 0, 0, 0, 0, 0], [-25, 0, 0, 3, 0, 0]
+    there, back = (
+        simulate_path(start, pressed, [-25, 0, angle, 3, 0, 0]).pins[0] - REST
+        for angle in (20.0, -20.0)
+    )
+    around = (REST[:, 0] * there[:, 1] - REST[:, 1] * there[:, 0])[1:7]
     assert np.all(around < -0.2)  # the skin stays behind the sensor, which turns counter-clockwise
-    np.testing.assert_allclose(moved[20.0][0], moved[-20.0][0] * [1, -1, 1], atol=1e-3)
+    np.testing.assert_allclose(there[0], back[0] * [1, -1, 1], atol=1e-3)
 
 
 def test_a_mirrored_scene_gives_the_mirrored_pins():
@@ -179,21 +185,20 @@ def test_a_mirrored_scene_gives_the_mirrored_pins():
     generator = np.random.default_rng(4)
     pose = sample_poses(generator, 14, 5.0, 45.0, (1.0, 4.0))
     move, which = sample_slides(generator, 14, 2.5), np.arange(14) % len(shapes)
-    there = simulate(TACTIP_331, shapes, make_scenes(shapes, which, pose, move))
-    mirrored = make_scenes(shapes, which, pose * [1, -1, -1, 1], move * [1, -1])
-    other = simulate(TACTIP_331, shapes, mirrored)
-    flipped = REST * [1, -1, 1]
-    twin = np.argmin(np.linalg.norm(REST[:, None] - flipped[None], axis=-1), 0)
-    assert compute_rms_mm(there.pins, other.pins[:, twin] * [1, -1, 1]).max() < 0.02
+    there, other = (
+        simulate(TACTIP_331, shapes, make_scenes(shapes, which, pose * sign, move * sign[:2]))
+        for sign in (np.ones(4), np.array([1, -1, -1, 1]))
+    )
+    mirror = np.array([1, -1, 1])
+    twin = np.argmin(np.linalg.norm(REST[:, None] - REST * mirror, axis=-1), 0)
+    assert compute_rms_mm(there.pins, other.pins[:, twin] * mirror).max() < 0.02
     assert compute_rms_mm(there.pins, other.pins).min() > 0.1
 
 
 def test_a_tilted_sphere_touches_elsewhere_with_nearly_the_same_force():
     level, leaning = (
-        follow(TACTIP_331, DISK, make_path(*([-25, 0, 0, z, t, 0] for z in (0, 2)), friction=0.0))[
-            0
-        ]
-        for t in (0.0, 20.0)
+        simulate_path([-25, 0, 0, 0, tilt, 0], [-25, 0, 0, 2, tilt, 0], friction=0.0)
+        for tilt in (0.0, 20.0)
     )
     normal = np.array([0, np.sin(np.radians(20.0)), np.cos(np.radians(20.0))])
     push = leaning.force_n[0] @ normal
@@ -207,12 +212,9 @@ def test_a_tilted_sphere_touches_elsewhere_with_nearly_the_same_force():
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("pose", np.nan, "pose"),
-        ("move", np.inf, "move"),
-        ("friction", -0.1, "friction"),
-        ("friction", np.nan, "friction"),
+        *(("pose", np.nan, "pose"), ("move", np.inf, "move"), ("stimulus", 7, "stimulus 7")),
+        *(("friction", -0.1, "friction"), ("friction", np.nan, "friction")),
         ("pose", [0, 0, 0, 99.0], "cannot be reached"),
-        ("stimulus", 7, "stimulus 7"),
     ],
 )
 def test_bad_scenes_are_refused_by_name(field, value, message):
@@ -223,14 +225,16 @@ def test_bad_scenes_are_refused_by_name(field, value, message):
 
 
 def test_bad_paths_and_levels_are_refused():
-    with pytest.raises(UserError, match="level"):
-        simulate(TACTIP_331, DISK, make_scene(1.0), level="nonsense")
-    with pytest.raises(UserError, match="tilt of 50 deg"):
-        follow(TACTIP_331, DISK, make_path([0, 0, 0, 0, 50, 0], [0, 0, 0, 3, 50, 0]))
-    with pytest.raises(UserError, match="shape"):
-        follow(TACTIP_331, DISK, make_path([0, 0, 0, 0, 0, 0]))
-    with pytest.raises(UserError, match="batch = 0"):
-        simulate(TACTIP_331, DISK, make_scene(1.0), batch=0)
+    for option, value in (("level", "nonsense"), ("batch", 0)):
+        with pytest.raises(UserError, match=option):
+            simulate(TACTIP_331, DISK, make_scene(1.0), **{option: value})
+    for points, said in (
+        (([0, 0, 0, 0, 50, 0], [0, 0, 0, 3, 50, 0]), "tilt of 50 deg"),
+        (([0, 0, 0, 0, 0, 0],), "shape"),
+        (([-20, 0, 0, 3, 0, 0],) * 2, "stays where it begins"),
+    ):
+        with pytest.raises(UserError, match=said):
+            simulate_path(*points)
 
 
 def test_contacts_that_do_not_converge_are_solved_again_and_reported():
@@ -274,12 +278,10 @@ def test_no_scenes_give_no_contacts():
     assert contacts.pins.shape == (0, 331, 3) and len(contacts.converged) == len(skins.force_n) == 0
 
 
-def test_standing_still_in_contact_needs_a_skin_to_start_from():
+def test_standing_still_in_contact_keeps_its_force():
     rest, pressed = [-20, 0, 0, 0, 0, 0], [-20, 0, 0, 3, 0, 0]
-    held = make_path(pressed, pressed)
-    with pytest.raises(UserError, match="stays where it begins"):
-        follow(TACTIP_331, TRAINING, held)
     contacts, skins = follow(TACTIP_331, TRAINING, make_path(rest, pressed))
+    held = make_path(pressed, pressed)
     again, _ = follow(TACTIP_331, TRAINING, held, start=skins)
     np.testing.assert_allclose(again.force_n, contacts.force_n, rtol=1e-3)
     with pytest.raises(UserError, match="nodes; these are 1 with 9"):

@@ -1,7 +1,4 @@
-"""A training small enough for tests, of random dots: `python small.py FOLDER [STEPS_BEFORE_SLOW]` runs it.
-
-Kept apart from the tests because a test kills it.
-"""
+"""A training of random dots, small enough for tests: `python small.py FOLDER PAUSE_S` can be killed."""
 
 import sys
 import time
@@ -14,6 +11,8 @@ from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.config.training import Training, drop_pair_losses
+from jaxunshear.training import trainer
+from jaxunshear.training.tasks import make_unshear_task
 
 SIZE = 16
 NET = UnshearNet(size=SIZE, widths=(4, 6), pose_channels=4, shear_channels=3)
@@ -48,17 +47,21 @@ def endless(make, start: int, pause: float = 0.0) -> Iterator[dict[str, np.ndarr
         step += 1
 
 
-def train(folder: Path, pause: float = 0.0):
-    from jaxunshear.training import trainer
-    from jaxunshear.training.tasks import make_unshear_task
+def validate() -> Iterator[dict[str, np.ndarray]]:
+    return iter([pair(1000, 4), pair(1001, 3)])
 
-    def validation():
-        return iter([pair(1000, 4), pair(1001, 3)])
 
-    task = make_unshear_task(NET, TRAINING)
-    data = trainer.TrainingData(lambda start: endless(pair, start, pause), validation, IMAGES)
-    return trainer.train(task, TRAINING, data, 0, folder)
+def train(
+    folder: Path,
+    batches=lambda start: endless(pair, start),
+    validation=validate,
+    net=NET,
+    training=TRAINING,
+    provenance=trainer.Provenance(),
+):
+    data = trainer.TrainingData(batches, validation, IMAGES)
+    return trainer.train(make_unshear_task(net, training), training, data, 0, folder, provenance)
 
 
 if __name__ == "__main__":
-    train(Path(sys.argv[1]), pause=float(sys.argv[2]))
+    train(Path(sys.argv[1]), lambda start: endless(pair, start, float(sys.argv[2])))

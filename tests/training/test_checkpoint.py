@@ -32,29 +32,19 @@ def test_there_and_back(folder):
     assert checkpoint.find_latest_step(folder) == 5
     state, record = checkpoint.restore(folder, 5, STATE)
     assert record["best_step"] == 5
-    np.testing.assert_array_equal(
-        state["average"]["params"]["E"]["kernel"], STATE["average"]["params"]["E"]["kernel"]
-    )
+    np.testing.assert_array_equal(get_kernel(state), get_kernel(STATE))
     assert state["step"].dtype == jnp.int32
     variables = checkpoint.load_best(folder)
     assert set(variables) == {"params", "batch_stats"}
     np.testing.assert_array_equal(variables["batch_stats"]["E"]["mean"], 1)
 
 
-def test_the_latest_and_the_best_are_kept(folder):
+def test_the_latest_and_the_best_are_kept_and_listed_latest_first(folder):
+    assert checkpoint.list_kept_steps(folder / "nothing") == []
     checkpoint.save(folder, 6, STATE, RECORD)
     checkpoint.save(folder, 7, STATE | {"step": jnp.asarray(7)}, RECORD)
-    assert sorted(path.name for path in (folder / "checkpoints").iterdir()) == [
-        "00000005",
-        "00000007",
-    ]
-
-
-def test_what_is_kept_is_reported_latest_first(folder):
-    assert checkpoint.list_kept_steps(folder / "nothing") == []
-    assert checkpoint.list_kept_steps(folder) == [5]
-    checkpoint.save(folder, 7, STATE, RECORD)
     assert checkpoint.list_kept_steps(folder) == [7, 5]
+    assert {path.name for path in (folder / "checkpoints").iterdir()} == {"00000005", "00000007"}
 
 
 def files(folder):
@@ -62,51 +52,44 @@ def files(folder):
     return sorted(path for path in root.rglob("*") if path.is_file() and path.stat().st_size)
 
 
-def test_no_damage_goes_unseen(folder, tmp_path_factory):
-    """Each file cut, changed in its middle, or removed: either everything is still read as it was, or one line. Of the arrays' files
+def get_kernel(state):
+    return state["average"]["params"]["E"]["kernel"]
+
+
+@pytest.mark.parametrize("damage", ["cut", "change", "remove"])
+def test_no_damage_goes_unseen(folder, tmp_path_factory, damage):
+    """Of each file: either everything is still read as it was, or one line. Of the arrays' files
     it is our own: Orbax' threads would say much."""
     refused = []
     for number in range(len(files(folder))):
-        for damage in ("cut", "change", "remove"):
-            copy = tmp_path_factory.mktemp("copy") / "run"
-            shutil.copytree(folder, copy)
-            path = files(copy)[number]
-            data = bytearray(path.read_bytes())
-            data[len(data) // 2] ^= 0xFF
-            path.write_bytes(data if damage == "change" else data[: len(data) // 2])
-            if damage == "remove":
-                path.unlink()
-            try:
-                state, _ = checkpoint.restore(copy, 5, STATE)
-            except UserError as error:
-                refused.append((path.relative_to(copy).parts, str(error)))
-            else:
-                kernel = state["average"]["params"]["E"]["kernel"]
-                np.testing.assert_array_equal(kernel, STATE["average"]["params"]["E"]["kernel"])
-    assert len(refused) >= 6
-    assert all(
-        "run/checkpoints/00000005" in line and "delete" in line and "\n" not in line
-        for _, line in refused
-    )
-    assert all("its files are not those" in line for place, line in refused if "state" in place)
+        copy = tmp_path_factory.mktemp("copy") / "run"
+        shutil.copytree(folder, copy)
+        path = files(copy)[number]
+        data = bytearray(path.read_bytes())
+        data[len(data) // 2] ^= 0xFF
+        path.write_bytes(data if damage == "change" else data[: len(data) // 2])
+        if damage == "remove":
+            path.unlink()
+        try:
+            state, _ = checkpoint.restore(copy, 5, STATE)
+        except UserError as error:
+            refused.append((path.parts, str(error)))
+        else:
+            np.testing.assert_array_equal(*(get_kernel(each) for each in (state, STATE)))
+    assert len(refused) >= 2
+    for place, line in refused:
+        assert "run/checkpoints/00000005" in line and "delete" in line and "\n" not in line
+        assert "state" not in place or "its files are not those" in line
 
 
-def test_damage_to_the_latest_names_the_way_back(folder):
+@pytest.mark.parametrize(
+    ("step", "way"), [(6, "00000006 to go on from the one before"), (5, " to train from the start")]
+)
+def test_damage_names_the_way_back_if_there_is_one(folder, step, way):
     checkpoint.save(folder, 6, STATE, RECORD)
-    (folder / "checkpoints" / "00000006" / "record.json").write_text("{")
-    with pytest.raises(
-        UserError, match=r"00000006 is damaged.*delete .*00000006 to go on from the one before"
-    ):
-        checkpoint.restore(folder, 6, STATE)
-
-
-def test_damage_to_an_earlier_one_names_no_way_back(folder):
-    checkpoint.save(folder, 6, STATE, RECORD)
-    (folder / "checkpoints" / "00000005" / "record.json").write_text("{")
-    with pytest.raises(
-        UserError, match=f"00000005 is damaged.*: delete {folder} to train from the start"
-    ):
-        checkpoint.restore(folder, 5, STATE)
+    (folder / "checkpoints" / f"0000000{step}" / "record.json").write_text("{")
+    with pytest.raises(UserError, match=f"0000000{step} is damaged.*: delete .*{way}"):
+        checkpoint.restore(folder, step, STATE)
 
 
 def test_another_network_is_refused(folder):
@@ -142,11 +125,14 @@ def test_a_posenet_gives_its_targets_and_others_may(tmp_path):
     for name, more in (("known", {"targets": to_json(targets)}), ("older", {})):
         for kind in ("posenet", "unshear"):
             checkpoint.write_settings(tmp_path / name / kind, {"kind": kind, **more})
-    assert checkpoint.read_targets(tmp_path / "known" / "posenet") == targets
-    assert checkpoint.read_targets(tmp_path / "known" / "unshear") == targets
-    assert checkpoint.read_targets(tmp_path / "older" / "unshear") == ()
+    for name, expected in (
+        ("known/posenet", targets),
+        ("known/unshear", targets),
+        ("older/unshear", ()),
+    ):
+        assert checkpoint.read_targets(tmp_path / name) == expected
     with pytest.raises(
-        UserError, match=r"older.posenet.model\.json states no pose targets .*: train again"
+        UserError, match=r"posenet.model\.json states no pose targets .*: train again"
     ):
         checkpoint.read_targets(tmp_path / "older" / "posenet")
 
@@ -158,20 +144,12 @@ def test_broken_settings_are_refused(tmp_path, text):
         checkpoint.read_net(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("error", "line"),
-    [
-        (MemoryError(), "not enough memory"),
-        (PermissionError(13, "Permission denied"), "Permission"),
-    ],
-)
-def test_nobody_is_reported_to_delete_what_the_machine_could_not_read(
-    folder, monkeypatch, error, line
-):
+@pytest.mark.parametrize("error", [MemoryError(), PermissionError(13, "Permission denied")])
+def test_nobody_is_asked_to_delete_what_the_machine_could_not_read(folder, monkeypatch, error):
     def refuse(*_):
         raise error
 
     monkeypatch.setattr(checkpoint.ocp.Checkpointer, "restore", refuse)
-    with pytest.raises(UserError, match=line) as refusal:
+    with pytest.raises(UserError, match=r"not enough memory|Permission") as refusal:
         checkpoint.load_best(folder)
     assert "to train from the start" not in str(refusal.value)

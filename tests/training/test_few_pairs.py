@@ -24,10 +24,9 @@ from jaxunshear.training.few_pairs import (
     select_few_pairs,
 )
 
-STIMULUS, POSE = (
-    np.repeat([0, 1], 40),
-    np.tile(np.repeat(np.arange(10), 4), 2),
-)  # four slides at each of twenty poses
+# four slides at each of twenty poses
+STIMULUS, POSE = np.repeat([0, 1], 40), np.tile(np.repeat(np.arange(10), 4), 2)
+TAP_IDENTITY = ["--train_pins.losses.tap_identity", "0.5"]
 OVER_PINS = Experiment(
     name="few",
     claim="none",
@@ -44,13 +43,13 @@ def poses(mask):
 def rows(split="train"):
     number = np.arange(80)
     pins = np.broadcast_to(number[:, None, None], (80, 3, 2)).astype(np.float32)
-    return {
-        "stimulus": STIMULUS,
-        "pose_id": POSE,
-        "canonical_pins": pins,
-        "sheared_pins": pins + 0.5,
-        "row": number,
-    }
+    named = {"stimulus": STIMULUS, "pose_id": POSE, "row": number}
+    return named | {"canonical_pins": pins, "sheared_pins": pins + 0.5}
+
+
+def list_rows(pins):
+    """Return which rows these pins (B, 3, 2) are of."""
+    return pins[:, 0, 0].astype(int)
 
 
 @pytest.mark.parametrize(("share", "count"), [(0.01, 1), (0.1, 2), (0.25, 5), (1.0, 20)])
@@ -79,43 +78,31 @@ def numbered(start=0):
 
 def test_training_and_validation_have_the_share_and_the_test_has_all():
     few = select_few_pairs(examples(), 0.1, 3)
-    mask = choose_poses(STIMULUS, POSE, 0.1, 3)
+    chosen = np.flatnonzero(choose_poses(STIMULUS, POSE, 0.1, 3))
     for split in ("train", "validation"):
         assert few.reader.length(split) == 8
-        np.testing.assert_array_equal(
-            few.reader.take(split, np.arange(8), ("row",))["row"], np.flatnonzero(mask)
-        )
+        found = few.reader.take(split, np.arange(8), ("row",))["row"]
+        np.testing.assert_array_equal(found, chosen)
     assert few.reader.length("test") == 80
     assert few.per_epoch == 80  # as many steps as with all pairs
     batches = few.reader.train_batches(16, 0, 0.0, ("row", "canonical_pins", "sheared_pins"))()
     seen = [next(batches) for _ in range(3)]
-    assert {int(row) for batch in seen for row in batch["row"]} == set(
-        np.flatnonzero(mask).tolist()
-    )
+    assert {int(row) for batch in seen for row in batch["row"]} == set(chosen.tolist())
     for batch in seen:  # a slide takes any tap of its own pose
-        tap = batch["canonical_pins"][:, 0, 0].astype(int)
-        slide = batch["sheared_pins"][:, 0, 0].astype(int)
+        tap, slide = (list_rows(batch[name]) for name in ("canonical_pins", "sheared_pins"))
         np.testing.assert_array_equal(POSE[tap], POSE[slide])
         np.testing.assert_array_equal(STIMULUS[tap], STIMULUS[slide])
 
 
 def test_taps_beside_pairs_follow_from_seed_and_step_alone():
-    taps = Reader(
-        lambda split: {
-            "pins": rows()["canonical_pins"],
-            "stimulus": STIMULUS,
-            "pose_id": np.arange(80),
-        },
-        8,
-    )
+    stored = {"pins": rows()["canonical_pins"], "stimulus": STIMULUS, "pose_id": np.arange(80)}
+    taps = Reader(lambda split: stored, 8)
     batches = add_taps(numbered, taps, 5, 7)
     first = list(islice(batches(), 16))
     assert [int(batch["step"][0]) for batch in first] == list(range(16))
     np.testing.assert_array_equal(next(batches(11))[TAPS], first[11][TAPS])
-    drawn = np.concatenate([batch[TAPS][:, 0, 0] for batch in first])
-    assert sorted(drawn.tolist()) == list(range(80)) and drawn.tolist() != list(
-        range(80)
-    )  # each once an epoch
+    drawn = np.concatenate([list_rows(batch[TAPS]) for batch in first]).tolist()
+    assert sorted(drawn) == list(range(80)) != drawn  # each once an epoch
     assert np.any(next(add_taps(numbered, taps, 5, 8)())[TAPS] != first[0][TAPS])
 
 
@@ -123,8 +110,7 @@ def test_slides_that_are_to_be_unsheared_alike_are_two_of_one_pose():
     batches = add_same_pose_slides(numbered, examples(), 30, 7)
     first = list(islice(batches(), 60))
     one, another = (
-        np.concatenate([batch[name][:, 0, 0] - 0.5 for batch in first]).astype(int)
-        for name in (ONE, ANOTHER)
+        np.concatenate([list_rows(batch[name]) for batch in first]) for name in (ONE, ANOTHER)
     )
     assert np.all(one != another)
     np.testing.assert_array_equal(one // 4, another // 4)  # of any pose, paired or not
@@ -140,14 +126,12 @@ def test_the_only_slide_of_a_pose_is_its_own_other():
 
 def test_a_network_that_learns_taps_needs_their_set():
     """Their set is made without a PoseNet, too."""
-    taught = override_fields(OVER_PINS, ["--train_pins.losses.tap_identity", "0.5"])
+    taught = override_fields(OVER_PINS, TAP_IDENTITY)
     assert set(open_source(OVER_PINS).list_sets()) == {"tactip_paired"}
     assert set(open_source(taught).list_sets()) == {"tactip_paired", "tactip_pose"}
 
 
 def test_no_posenet_is_another_for_fewer_pairs():
-    few = override_fields(
-        OVER_PINS, ["--train_pins.losses.tap_identity", "0.5", "--train_pins.paired_share", "0.1"]
-    )
-    assert resolve_network(few, "posenet") == resolve_network(OVER_PINS, "posenet")
-    assert resolve_network(few, "disentangled") != resolve_network(OVER_PINS, "disentangled")
+    few = override_fields(OVER_PINS, [*TAP_IDENTITY, "--train_pins.paired_share", "0.1"])
+    for network, is_same in (("posenet", True), ("disentangled", False)):
+        assert (resolve_network(few, network) == resolve_network(OVER_PINS, network)) == is_same

@@ -1,20 +1,13 @@
 """Muon: equal to optax's, near-orthogonal, exact zeros, and a training with it goes on bit for bit."""
 
-import sys
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
 
-from jaxunshear.config.networks import UnshearNet
-from jaxunshear.training.step import muon, orthogonalise
+from jaxunshear.training.muon import muon, orthogonalise
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-NET = UnshearNet(size=16, widths=(8, 16), pose_channels=8, shear_channels=8)
 SHAPES = {  # as of a small network: first, inner and last layers, and a dense one
     "First": {"kernel": (4, 4, 1, 8)},
     "Down": {"kernel": (4, 4, 8, 16), "norm": {"scale": (16,), "bias": (16,)}},
@@ -29,9 +22,8 @@ INNER = ("Down.kernel", "Same.kernel", "Up.kernel", "Dense.kernel")
 
 @pytest.fixture
 def params():
-    return noise_like(
-        jax.tree.map(np.zeros, SHAPES, is_leaf=lambda shape: isinstance(shape, tuple)), 99
-    )
+    shapes = jax.tree.map(np.zeros, SHAPES, is_leaf=lambda shape: isinstance(shape, tuple))
+    return noise_like(shapes, 99)
 
 
 def noise_like(params, seed):
@@ -39,29 +31,43 @@ def noise_like(params, seed):
     return jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape), jnp.float32), params)
 
 
+def join_keys(path):
+    return ".".join(key.key for key in path)
+
+
 def named(params):
-    return {
-        ".".join(key.key for key in path): leaf
-        for path, leaf in jax.tree_util.tree_leaves_with_path(params)
-    }
+    return {join_keys(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(params)}
 
 
-def is_inner(name):
-    return name in INNER
+def apply_quintic(matrix):
+    """Return the matrix with its singular values put through Jordan's quintic five times."""
+    u, s, v = np.linalg.svd(matrix, full_matrices=False)
+    s = s / np.linalg.norm(s)
+    for _ in range(5):
+        s = 3.4445 * s - 4.7750 * s**3 + 2.0315 * s**5
+    return u * s @ v
+
+
+def follow(optimisers, params, steps):
+    """Yield a gradient and each optimiser's updates for it, by name, step by step."""
+    states = [each.init(params) for each in optimisers]
+    updates = [jax.jit(each.update) for each in optimisers]
+    for seed in range(steps):
+        gradient = noise_like(params, seed)
+        found = [
+            update(gradient, state, params) for update, state in zip(updates, states, strict=True)
+        ]
+        states = [state for _, state in found]
+        yield named(gradient), *(named(update) for update, _ in found)
 
 
 @pytest.mark.parametrize("shape", [(40, 12), (12, 40), (16, 16), (1, 9)])
 @pytest.mark.parametrize("jit", [False, True])
 def test_orthogonal_is_the_quintic_of_the_singular_values(shape, jit):
     x = np.random.default_rng(1).normal(size=shape)
-    u, s, v = np.linalg.svd(x, full_matrices=False)
-    s = s / np.linalg.norm(s)
-    for _ in range(5):
-        s = 3.4445 * s - 4.7750 * s**3 + 2.0315 * s**5
     got = (jax.jit(orthogonalise) if jit else orthogonalise)(jnp.asarray(x, jnp.float32))
-    np.testing.assert_allclose(
-        got, u * s @ v, atol=1e-4
-    )  # of entries near 0.3; tiny singular values are lost first
+    # of entries near 0.3; tiny singular values are lost first
+    np.testing.assert_allclose(got, apply_quintic(x), atol=1e-4)
 
 
 def test_orthogonal_brings_singular_values_near_one():
@@ -84,68 +90,40 @@ def test_orthogonal_of_low_rank_and_of_nothing():
 
 def test_updates_of_inner_kernels_are_jordan_s(params):
     """Nesterov's momentum, and the singular values of its matrix by the quintic: of his reference implementation."""
-    ours = muon(1.0, 0.5, 0.999)
-    state, update_of = ours.init(params), jax.jit(ours.update)
     momentum = {name: np.zeros(leaf.shape) for name, leaf in named(params).items()}
-    for seed in range(3):
-        gradient = noise_like(params, seed)
-        got, state = update_of(gradient, state, params)
-        for name, update in filter(lambda item: is_inner(item[0]), named(got).items()):
-            g = np.asarray(named(gradient)[name], np.float64)
+    for gradient, got in follow([muon(1.0, 0.5, 0.999)], params, 3):
+        for name in INNER:
+            g = np.asarray(gradient[name], np.float64)
             momentum[name] = 0.95 * momentum[name] + 0.05 * g
             matrix = (0.05 * g + 0.95 * momentum[name]).reshape(-1, g.shape[-1])
-            u, s, v = np.linalg.svd(matrix, full_matrices=False)
-            s = s / np.linalg.norm(s)
-            for _ in range(5):
-                s = 3.4445 * s - 4.7750 * s**3 + 2.0315 * s**5
-            expected = -0.2 * np.sqrt(max(matrix.shape)) * (u * s @ v)
-            np.testing.assert_allclose(update, expected.reshape(g.shape), atol=2e-3, err_msg=name)
+            expected = -0.2 * np.sqrt(max(matrix.shape)) * apply_quintic(matrix).reshape(g.shape)
+            np.testing.assert_allclose(got[name], expected, atol=2e-3, err_msg=name)
 
 
 def test_optax_s_updates_of_inner_kernels_are_the_same_but_for_the_start(params):
-    axes = {
-        name: optax.contrib.MuonDimensionNumbers(tuple(range(leaf.ndim - 1)), leaf.ndim - 1)
-        if is_inner(name)
-        else None
-        for name, leaf in named(params).items()
-    }
+    def list_axes(path, leaf):
+        axes = optax.contrib.MuonDimensionNumbers(tuple(range(leaf.ndim - 1)), leaf.ndim - 1)
+        return axes if join_keys(path) in INNER else None
+
+    axes = jax.tree_util.tree_map_with_path(list_axes, params)
     theirs = optax.contrib.muon(1.0, consistent_rms=0.2, muon_weight_dimension_numbers=axes)
-    ours = muon(1.0, 0.5, 0.999)
-    states = theirs.init(named(params)), ours.init(params)
-    their_update, our_update = jax.jit(theirs.update), jax.jit(ours.update)
     off = []
-    for seed in range(100):
-        gradient = noise_like(params, seed)
-        expected, other = their_update(named(gradient), states[0], named(params))
-        got, mine = our_update(gradient, states[1], params)
-        states = other, mine
-        pairs = [(named(got)[name], expected[name]) for name in INNER]
+    for _, got, expected in follow([muon(1.0, 0.5, 0.999), theirs], params, 100):
+        pairs = [(got[name], expected[name]) for name in INNER]
         off.append(max(float(jnp.linalg.norm(a - b) / jnp.linalg.norm(b)) for a, b in pairs))
     assert off[0] < 1e-4 and 0.02 < off[1] < 0.2 and off[-1] < 1e-3
 
 
 def test_first_and_last_layers_and_vectors_are_adam_s(params):
-    ours, adam = muon(3e-3, 0.5, 0.999), optax.adam(3e-3, 0.5, 0.999)
-    states = ours.init(params), adam.init(params)
-    for seed in range(3):
-        gradient = noise_like(params, seed)
-        got, mine = ours.update(gradient, states[0], params)
-        expected, other = adam.update(gradient, states[1], params)
-        states = mine, other
-    for name, update in named(got).items():
-        assert jnp.array_equal(update, named(expected)[name]) != is_inner(name), name
+    optimisers = muon(3e-3, 0.5, 0.999), optax.adam(3e-3, 0.5, 0.999)
+    *_, (_, got, expected) = follow(optimisers, params, 3)
+    for name, update in got.items():
+        assert jnp.array_equal(update, expected[name]) != (name in INNER), name
 
 
 def test_updates_are_about_as_large_as_adam_s(params):
-    ours, adam = muon(1.0, 0.9, 0.999), optax.adam(1.0, 0.9, 0.999)
-    states = (ours.init(params), adam.init(params))
-    our_update = jax.jit(ours.update)
-    adams_update = jax.jit(adam.update)
-    for seed in range(20):
-        gradient = noise_like(params, seed)
-        got, mine = our_update(gradient, states[0], params)
-        expected, other = adams_update(gradient, states[1], params)
-        states = mine, other
-    for name in filter(is_inner, named(got)):
-        ratio = jnp.sqrt(jnp.mean(named(got)[name] ** 2) / jnp.mean(named(expected)[name] ** 2))
+    optimisers = muon(1.0, 0.9, 0.999), optax.adam(1.0, 0.9, 0.999)
+    *_, (_, got, expected) = follow(optimisers, params, 20)
+    for name in INNER:
+        ratio = jnp.sqrt(jnp.mean(got[name] ** 2) / jnp.mean(expected[name] ** 2))
         assert 0.4 < ratio < 2.5, (name, ratio)

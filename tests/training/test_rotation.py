@@ -56,17 +56,21 @@ def test_a_sixth_of_a_turn_takes_every_pin_to_another(jit):
     pins = REST + RNG.normal(0, 1, (2, *REST.shape))
     got = (jax.jit(rotate_pins) if jit else rotate_pins)(turns, k, jnp.asarray(pins))
     rotation = np.asarray(turns.rotation[k], np.float64)
-    lands = np.argmin(
-        np.linalg.norm((MIDDLE + (REST - MIDDLE) @ rotation.T)[:, None] - REST, axis=-1), axis=1
-    )
+    turned = MIDDLE + (REST - MIDDLE) @ rotation.T
+    lands = np.argmin(np.linalg.norm(turned[:, None] - REST, axis=-1), axis=1)
     wanted = np.empty_like(pins)
     wanted[:, lands] = MIDDLE + (pins - MIDDLE) @ rotation.T
     np.testing.assert_allclose(got, wanted, atol=1e-3)
 
 
-def test_no_turn_changes_nothing():
-    pins = jnp.asarray(REST + RNG.normal(0, 1, (2, *REST.shape)), jnp.float32)
-    np.testing.assert_allclose(rotate_pins(make_rotations(REST, 1), 0, pins), pins, atol=1e-4)
+def test_no_turn_changes_nothing_and_pins_that_are_not_seen_count_as_untouched():
+    turns, pins = make_rotations(REST, 1), np.array(touched(20, 1.5)[None], np.float32)
+    np.testing.assert_allclose(rotate_pins(turns, 0, jnp.asarray(pins)), pins, atol=1e-4)
+    hidden, still = pins.copy(), pins.copy()
+    hidden[0, 5], still[0, 5] = np.nan, REST[5]
+    np.testing.assert_array_equal(
+        *(rotate_pins(turns, 3, jnp.asarray(each)) for each in (hidden, still))
+    )
 
 
 @pytest.mark.parametrize("k", [1, 5, 17])
@@ -77,28 +81,16 @@ def test_a_turned_touch_is_the_touch_of_a_turned_edge(k):
     assert np.sqrt(np.mean((got - wanted) ** 2)) < 0.05 * np.sqrt(np.mean((wanted - REST) ** 2))
 
 
-def test_pins_that_are_not_seen_count_as_untouched():
-    pins = np.array(touched(20, 1.5)[None])
-    pins[0, 5] = np.nan
-    still = pins.copy()
-    still[0, 5] = REST[5]
-    turns = make_rotations(REST, 1)
-    np.testing.assert_array_equal(
-        rotate_pins(turns, 3, jnp.asarray(pins)), rotate_pins(turns, 3, jnp.asarray(still))
-    )
-
-
 @pytest.mark.parametrize("sense", [1, -1])
 def test_the_twist_turns_and_nothing_else(sense):
     _, poses = contacts(40, 1)
     targets, k = make_label_targets((), poses), 7
-    outputs = scale_poses({"pose": jnp.asarray(poses, jnp.float32)}, targets)
-    after = poses.copy()
-    after[:, 5] += sense * 360 * k / ANGLES
-    wanted = scale_poses({"pose": jnp.asarray(after, jnp.float32)}, targets)
-    np.testing.assert_allclose(
-        rotate_outputs(make_rotations(REST, sense), k, outputs, targets), wanted, atol=1e-5
+    after = poses + np.array([0, 0, 0, 0, 0, sense * 360 * k / ANGLES])
+    outputs, wanted = (
+        scale_poses({"pose": jnp.asarray(each, jnp.float32)}, targets) for each in (poses, after)
     )
+    found = rotate_outputs(make_rotations(REST, sense), k, outputs, targets)
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
 
 
 @pytest.mark.parametrize("sense", [1, -1])

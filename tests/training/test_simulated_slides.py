@@ -11,9 +11,8 @@ from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.training import simulated_slides
 
 PINS, SIZE = 7, 32
-REST = np.stack([16 + 8 * np.cos(np.arange(PINS)), 16 + 8 * np.sin(np.arange(PINS))], -1).astype(
-    np.float32
-)
+ANGLE = np.arange(PINS)
+REST = np.float32(16 + 8 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], -1))
 
 
 class Stored(UnstoredSet):
@@ -22,18 +21,18 @@ class Stored(UnstoredSet):
     def __init__(self):
         generator = np.random.default_rng(0)
         count = 11
-        pose = np.zeros((count, 6), np.float32)
+        pose, number = np.zeros((count, 6), np.float32), np.arange(count, dtype=np.int32)
         pose[:, 1], pose[:, 2] = generator.uniform(-3, 3, count), generator.uniform(3, 5, count)
         pose[2, 1] = np.nan  # a tap without a label
         self._rows = {
             "image": np.packbits(generator.random((count, SIZE * SIZE)) > 0.5, axis=-1),
             "pins": REST + generator.normal(0, 1, (count, PINS, 2)).astype(np.float32),
-            "sure": np.array([1, 0] + [1] * 9, np.int32),
-            "slid": (np.arange(count) >= 8).astype(np.int32),
+            "sure": np.int32(number != 1),
+            "slid": np.int32(number >= 8),
             "pose": pose,
             "move": np.zeros((count, 6), np.float32),
-            "pose_id": np.arange(count, dtype=np.int32),
-            "number": np.arange(count, dtype=np.int32),
+            "pose_id": number,
+            "number": number,
         }
         frame = {"place_px": REST.tolist(), "shell": [0] + [1] * 6, "spacing_px": 8.0}
         self.metadata = {"frame": frame}
@@ -44,9 +43,8 @@ class Stored(UnstoredSet):
 
 @pytest.fixture
 def stored():
-    settings = Recorded(
-        slide_folder="s", tap_folder="t", pairing="simulated", preprocess=Preprocess(size=SIZE)
-    )
+    folders = {"slide_folder": "s", "tap_folder": "t"}
+    settings = Recorded(**folders, pairing="simulated", preprocess=Preprocess(size=SIZE))
     return RecordedSet(settings, Stored())
 
 
@@ -58,10 +56,8 @@ class Simulator:
 
     def __call__(self, pose, moves, friction):
         self.asked.append(len(pose))
-        fine = np.arange(len(pose)) > 0
-        return np.tile((friction[:, None] * moves[:, :2])[:, None], (1, PINS, 1)).astype(
-            np.float32
-        ), fine
+        shift = np.float32(friction[:, None] * moves[:, :2])[:, None]
+        return np.tile(shift, (1, PINS, 1)), np.arange(len(pose)) > 0
 
 
 @pytest.fixture
@@ -69,11 +65,18 @@ def simulator():
     return Simulator()
 
 
-def test_each_slide_has_its_own_tap(stored, simulator, tmp_path):
-    reader = stored.read_pairs(
-        (),
-        simulate=simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3),
-    )
+@pytest.fixture
+def simulate(stored, simulator, tmp_path):
+    """Return a function that makes the simulator of slides anew, as another process would."""
+
+    def make():
+        return simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3)
+
+    return make
+
+
+def test_each_slide_has_its_own_tap(stored, simulate):
+    reader = stored.read_pairs((), simulate=simulate())
     # 6 of 8 taps are sure and labelled, in two files whose first contacts do not converge
     assert reader.length("train") == 4 * simulated_slides.SLIDES_PER_MOTION
     pairs = next(reader.split("train", 100))
@@ -86,31 +89,17 @@ def test_each_slide_has_its_own_tap(stored, simulator, tmp_path):
     assert not pairs["move"][:, 2].any()
     assert pairs["sheared"].shape == pairs["canonical"].shape == (16, SIZE, SIZE, 1)
     assert (pairs["sheared"] != pairs["canonical"]).any(axis=(1, 2, 3)).all()
-    assert "canonical" not in next(
-        stored.read_pairs(
-            (),
-            images=False,
-            simulate=simulated_slides.make_slide_simulator(
-                stored, TACTIP_331, tmp_path, simulator, 3
-            ),
-        ).split("train", 1)
-    )
+    without = stored.read_pairs((), images=False, simulate=simulate())
+    assert "canonical" not in next(without.split("train", 1))
 
 
-def test_slides_are_simulated_once_and_go_on_after_a_kill(stored, simulator, tmp_path):
-    first = simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3)(
-        "train"
-    )
+def test_slides_are_simulated_once_and_go_on_after_a_kill(simulate, simulator, tmp_path):
+    first = simulate()("train")
     assert simulator.asked == [3, 3, 3, 3]  # two files of training, two of validation
-    (files,) = {path.parent for path in tmp_path.rglob("train/00001.npz")}
-    (files / "00001.npz").unlink()
-    again = simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3)(
-        "train"
-    )
+    (file,) = tmp_path.rglob("train/00001.npz")
+    file.unlink()
+    again = simulate()("train")
     assert simulator.asked[4:] == [3]
     for name, values in first.items():
         np.testing.assert_array_equal(values, again[name])
-    other = simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3)(
-        "validation"
-    )
-    assert not np.array_equal(first["move"], other["move"])
+    assert not np.array_equal(first["move"], simulate()("validation")["move"])

@@ -1,30 +1,30 @@
-"""TensorBoard's event files hold what log.jsonl holds, also of a training that was stopped."""
+"""Beside the steps of a training: TensorBoard's event files, and batches drawn in advance."""
 
+import contextlib
+import itertools
 import struct
-import sys
-from pathlib import Path
+import threading
 
 import numpy as np
+import pytest
 
-from jaxunshear.report.training_sections import read_lines
+from jaxunshear.report.history import read_lines
+from jaxunshear.training.prefetch import prefetch
 from jaxunshear.training.step import make_schedule
 from jaxunshear.training.tensorboard import list_scalars, open_events
-
-sys.path.insert(0, str(Path(__file__).parent))
-import small
+from tests.training import small
 
 
 def read(folder):
-    """Return the events of all files in a folder: records of a length, its check, the event, its check."""
+    """Return the events of a folder's files: records of a length, its check, the event, its check."""
     from tensorboardX.proto.event_pb2 import Event
 
     found = []
-    for path in sorted(folder.glob("events.out.tfevents.*")):
-        data = path.read_bytes()
-        while data:
-            (size,) = struct.unpack("<Q", data[:8])
-            found.append(Event.FromString(data[12 : 12 + size]))
-            data = data[16 + size :]
+    data = b"".join(file.read_bytes() for file in sorted(folder.glob("events.out.tfevents.*")))
+    while data:
+        (size,) = struct.unpack("<Q", data[:8])
+        found.append(Event.FromString(data[12 : 12 + size]))
+        data = data[16 + size :]
     return found
 
 
@@ -43,9 +43,8 @@ def test_a_training_writes_what_its_log_says(tmp_path):
     rate = make_schedule(small.TRAINING, 12, 4)
     assert len(lines) == 3 and found.keys() == {*list_scalars(lines[0]), "learning_rate"}
     for line in lines:
-        for tag, value in (
-            list_scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}
-        ).items():
+        scalars = list_scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}
+        for tag, value in scalars.items():
             assert (line["step"], np.float32(value)) in found[tag]
 
 
@@ -62,3 +61,25 @@ def test_without_the_extra_nothing_is_written(tmp_path, absent):
     with open_events(tmp_path, 0, lambda step: 0.5) as log:
         log({"step": 8})
     assert not list(tmp_path.iterdir())
+
+
+def test_in_order_and_one_ahead_in_a_thread_of_their_own():
+    drawn, threads = [], set()
+
+    def put(number):
+        drawn.append(number)
+        threads.add(threading.get_ident())
+        return -number
+
+    with contextlib.closing(prefetch(itertools.count(), put)) as stream:
+        assert list(itertools.islice(stream, 5)) == [0, -1, -2, -3, -4]
+    assert drawn == [0, 1, 2, 3, 4, 5]
+    assert len(threads) == 1 and threading.get_ident() not in threads
+    assert not any(thread.ident in threads for thread in threading.enumerate())
+
+
+def test_what_drawing_raises_comes_after_the_batches_before_it():
+    stream = prefetch((1 / (3 - number) for number in itertools.count()), float)
+    assert [next(stream) for _ in range(3)] == [1 / 3, 1 / 2, 1.0]
+    with pytest.raises(ZeroDivisionError):
+        next(stream)

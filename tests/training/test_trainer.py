@@ -1,10 +1,10 @@
 """Training: it learns, continues bit for bit after any stop, and stops with one line where it must."""
 
 import dataclasses
+import itertools
 import json
 import math
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -23,9 +23,7 @@ from jaxunshear.report.training_sections import read_lines
 from jaxunshear.training import checkpoint, trainer
 from jaxunshear.training.step import list_kernels, make_schedule
 from jaxunshear.training.tasks import make_posenet_task, make_unshear_task
-
-sys.path.insert(0, str(Path(__file__).parent))
-import small
+from tests.training import small
 
 
 class Stop(Exception):
@@ -62,60 +60,37 @@ def straight(tmp_path_factory):
     return folder, small.train(folder)
 
 
-def unshear(folder, batches=None, validation=None, net=small.NET, training=small.TRAINING):
-    data = trainer.TrainingData(
-        batches or (lambda start: small.endless(small.pair, start)),
-        validation or (lambda: iter([small.pair(1000, 4), small.pair(1001, 3)])),
-        small.IMAGES,
-    )
-    return trainer.train(make_unshear_task(net, training), training, data, 0, folder)
-
-
 def test_summary_log_and_settings(straight):
     folder, summary = straight
+    params, log = checkpoint.load_best(folder)["params"], lines(folder)
     assert (summary.steps, summary.images) == (12, 48)
-    assert summary.parameters == sum(
-        x.size for x in jax.tree.leaves(checkpoint.load_best(folder)["params"])
-    )
-    log = lines(folder)
-    assert [line["step"] for line in log] == [4, 8, 12]
-    assert log[-1]["epoch"] == 3
+    assert summary.parameters == sum(x.size for x in jax.tree.leaves(params))
+    assert [line["step"] for line in log] == [4, 8, 12] and log[-1]["epoch"] == 3
     assert log[0]["train_seconds"] < log[-1]["train_seconds"] == summary.train_seconds
-    assert set(log[0]["train"]) == {
-        "supervised",
-        "patch",
-        "reconstruction",
-        "regularisation",
-        "gradient",
-    }
+    assert set(log[0]["train"]) == {*small.TRAINING.losses, "regularisation", "gradient"}
     assert set(log[0]["validation"]) == {"supervised", "reconstruction"}
-    kernels = list_kernels(checkpoint.load_best(folder)["params"])
-    assert set(log[0]["kernels"]) == set(kernels)
-    assert all(size > 0 for size in log[0]["kernels"].values())
+    assert log[0]["kernels"].keys() == set(list_kernels(params))
+    assert min(log[0]["kernels"].values()) > 0
     best = min(log, key=lambda line: line["validation"]["supervised"])
-    assert (summary.best_step, summary.best_loss) == (
-        best["step"],
-        best["validation"]["supervised"],
-    )
+    assert summary.best_step == best["step"]
+    assert summary.best_loss == best["validation"]["supervised"]
     assert checkpoint.read_net(folder) == small.NET
 
 
 def test_a_finished_training_returns_at_once(straight):
     folder, summary = straight
-
-    def none(start):
-        raise AssertionError("no data are needed")
-
-    assert unshear(folder, none) == summary
+    assert small.train(folder, lambda start: pytest.fail("no data are needed")) == summary
 
 
 @pytest.mark.parametrize("at", [pytest.param(2, marks=pytest.mark.long), 7])
 def test_stopped_and_resumed_gives_the_same_bits(straight, tmp_path, at):
     """Stopped before the first checkpoint, and between two."""
     with pytest.raises(Stop):
-        unshear(tmp_path, lambda start: stopped(small.pair, start, at))
+        small.train(tmp_path, lambda start: stopped(small.pair, start, at))
     resumed_from = []
-    unshear(tmp_path, lambda start: resumed_from.append(start) or small.endless(small.pair, start))
+    small.train(
+        tmp_path, lambda start: resumed_from.append(start) or small.endless(small.pair, start)
+    )
     assert resumed_from == [at // 4 * 4]
     assert bits(tmp_path) == bits(straight[0])
     assert losses_of(tmp_path) == losses_of(straight[0])
@@ -130,7 +105,7 @@ def test_killed_processes_end_as_an_undisturbed_one(straight, tmp_path):
         while not list(tmp_path.glob(sight)) and process.poll() is None:
             time.sleep(0.002)
         time.sleep(wait)
-        process.send_signal(signal.SIGKILL)
+        process.kill()
         process.wait()
     small.train(tmp_path)
     assert bits(tmp_path) == bits(straight[0])
@@ -141,16 +116,20 @@ def test_half_written_and_superfluous_checkpoints_are_swept_away(tmp_path):
     half = tmp_path / "checkpoints" / "00000004.part"
     half.mkdir(parents=True)
     (half / "record.json").write_text("{")
-    unshear(tmp_path)
+    small.train(tmp_path)
     kept = {path.name for path in (tmp_path / "checkpoints").iterdir()}
     record = json.loads((tmp_path / "checkpoints" / "00000012" / "record.json").read_text())
     assert kept == {"00000012", f"{record['best_step']:08d}"}
 
 
+def convert_to_floats(batch):
+    return {name: value / np.float32(255) for name, value in batch.items()}
+
+
 def broken_from(step):
     def batches(start):
         for at, batch in enumerate(small.endless(small.pair, start), start):
-            floats = {name: value / np.float32(255) for name, value in batch.items()}
+            floats = convert_to_floats(batch)
             if at >= step:
                 floats["canonical"][0, 3, 3] = np.nan
             yield floats
@@ -160,103 +139,90 @@ def broken_from(step):
 
 def test_nan_in_a_batch_stops_with_step_and_term_and_keeps_the_last_good_checkpoint(tmp_path):
     with pytest.raises(UserError, match=r"patch, supervised not finite at step 7.*step 4 is kept"):
-        unshear(tmp_path, broken_from(6))
+        small.train(tmp_path, broken_from(6))
     assert checkpoint.find_latest_step(tmp_path) == 4
     assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(checkpoint.load_best(tmp_path)))
-    unshear(tmp_path, broken_from(10**9))  # with the data repaired it goes on
+    small.train(tmp_path, broken_from(10**9))  # with the data repaired it goes on
     assert (tmp_path / "summary.json").exists()
 
 
-DIVERGING = dataclasses.replace(
-    small.TRAINING, schedule="steps", drops=((1.5, 1e30),)
-)  # from step 7 on
+def scale_rate(epoch, factor):
+    return dataclasses.replace(small.TRAINING, schedule="steps", drops=((epoch, factor),))
 
 
 def test_a_diverging_training_leaves_the_checkpoint_of_an_undisturbed_one(tmp_path):
     """The batch is sound and the line says so; what is kept is, bit for bit, what a training that was stopped there holds."""
-    with pytest.raises(UserError) as stop:
-        unshear(tmp_path / "diverged", training=DIVERGING)
-    line = str(stop.value)
-    assert "step 4 is kept" in line
-    assert "whose numbers are 0 to 255" in line
-    assert "lower learning_rate" in line
+    diverging = scale_rate(1.5, 1e30)  # from step 7 on
+    folders = tmp_path / "diverged", tmp_path / "sound"
+    said = "whose numbers are 0 to 255;.*step 4 is kept;.*lower learning_rate"
+    with pytest.raises(UserError, match=said):
+        small.train(folders[0], training=diverging)
     with pytest.raises(Stop):
-        unshear(tmp_path / "sound", lambda start: stopped(small.pair, start, 6), training=DIVERGING)
-    assert (
-        checkpoint.find_latest_step(tmp_path / "diverged")
-        == checkpoint.find_latest_step(tmp_path / "sound")
-        == 4
-    )
-    assert bits(tmp_path / "diverged") == bits(tmp_path / "sound")
-    variables = checkpoint.load_best(tmp_path / "diverged")
+        small.train(folders[1], lambda start: stopped(small.pair, start, 6), training=diverging)
+    assert [checkpoint.find_latest_step(folder) for folder in folders] == [4, 4]
+    assert bits(folders[0]) == bits(folders[1])
+    assert losses_of(folders[0]) == losses_of(folders[1])
     images = jnp.asarray(small.dots(0, 2) / 255, jnp.float32)
+    variables = checkpoint.load_best(folders[0])
     assert np.isfinite(unshearnet.unshear(small.NET, variables, images)).all()
-    assert losses_of(tmp_path / "diverged") == losses_of(tmp_path / "sound")
 
 
 def test_weights_thrown_away_by_the_step_before_a_checkpoint_are_not_kept(tmp_path):
     """The terms of that step come from before its update, and are finite."""
-    overflowing = dataclasses.replace(
-        small.TRAINING, schedule="steps", drops=((1.75, math.inf),)
-    )  # from step 8 on
-    with pytest.raises(
-        UserError, match=r"stopped: params\S+ not finite at step 8, of batch 7 .*step 4 is kept"
-    ):
-        unshear(tmp_path, training=overflowing)
+    said = r"stopped: params\S+ not finite at step 8, of batch 7 .*step 4 is kept"
+    with pytest.raises(UserError, match=said):
+        small.train(tmp_path, training=scale_rate(1.75, math.inf))  # from step 8 on
     assert checkpoint.find_latest_step(tmp_path) == 4
     assert [line["step"] for line in lines(tmp_path)] == [4]
 
 
-def test_a_validation_that_is_never_finite_is_no_result(tmp_path):
-    def validation():
-        broken = {name: value / np.float32(255) for name, value in small.pair(1000, 4).items()}
-        broken["canonical"][0] = np.nan
-        return iter([broken])
+def validate_once(is_broken):
+    """Return one batch, perhaps of NaN."""
+    batch = convert_to_floats(small.pair(1000, 4))
+    if is_broken:
+        batch["canonical"][:] = np.nan
+    return iter([batch])
 
+
+def test_a_validation_that_is_never_finite_is_no_result(tmp_path):
     for _ in range(2):  # also when the same command is given again
         with pytest.raises(UserError, match=r"validation loss \(supervised\) was never finite"):
-            unshear(tmp_path, validation=validation)
+            small.train(tmp_path, validation=lambda: validate_once(True))
         assert not (tmp_path / "summary.json").exists()
 
 
 def test_nan_in_validation_ranks_last(tmp_path):
-    calls = []
-
-    def validation():
-        calls.append(1)
-        broken = {name: value / np.float32(255) for name, value in small.pair(1000, 4).items()}
-        if len(calls) != 2:
-            broken["canonical"][:] = np.nan
-        return iter([broken])
-
-    assert unshear(tmp_path, validation=validation).best_step == 8
+    broken = iter((True, False, True))
+    summary = small.train(tmp_path, validation=lambda: validate_once(next(broken)))
+    assert summary.best_step == 8
     assert lines(tmp_path)[0]["validation"]["supervised"] is None
 
 
 def test_an_empty_validation_split_is_refused(tmp_path):
     with pytest.raises(UserError, match="validation split is empty"):
-        unshear(tmp_path, validation=lambda: iter(()))
+        small.train(tmp_path, validation=lambda: iter(()))
 
 
 def test_other_settings_in_the_same_folder_are_refused(straight):
     other = dataclasses.replace(small.TRAINING, learning_rate=0.5)
     with pytest.raises(UserError, match=r"training.learning_rate = 0.001, now 0.5"):
-        unshear(straight[0], training=other)
+        small.train(straight[0], training=other)
 
 
 @pytest.mark.parametrize(
-    ("net", "training", "word"),
+    ("group", "changes", "word"),
     [
-        (dataclasses.replace(small.NET, size=18), small.TRAINING, "size"),
-        (dataclasses.replace(small.NET, pose_channels=0), small.TRAINING, "pose_channels = 0"),
-        (dataclasses.replace(small.NET, shear_channels=-1), small.TRAINING, "shear_channels = -1"),
-        (small.NET, dataclasses.replace(small.TRAINING, crop_px=40), "crop_px"),
-        (small.NET, dataclasses.replace(small.TRAINING, crops=0), "crops: 0"),
+        ("net", {"size": 18}, "size"),
+        ("net", {"pose_channels": 0}, "pose_channels = 0"),
+        ("net", {"shear_channels": -1}, "shear_channels = -1"),
+        ("training", {"crop_px": 40}, "crop_px"),
+        ("training", {"crops": 0}, "crops: 0"),
     ],
 )
-def test_settings_that_cannot_be_are_refused_by_name(tmp_path, net, training, word):
+def test_settings_that_cannot_be_are_refused_by_name(tmp_path, group, changes, word):
+    default = small.NET if group == "net" else small.TRAINING
     with pytest.raises(UserError, match=word):
-        unshear(tmp_path, net=net, training=training)
+        small.train(tmp_path, **{group: dataclasses.replace(default, **changes)})
 
 
 def test_posenet_trains_and_reports_errors_in_units(tmp_path):
@@ -266,15 +232,8 @@ def test_posenet_trains_and_reports_errors_in_units(tmp_path):
         lambda: iter([small.pose(1000, 4), small.pose(1001, 2)]),
         small.IMAGES,
     )
-    summary = trainer.train(task, small.TRAINING, data, 0, tmp_path)
-    assert summary.kind == "posenet"
-    assert set(lines(tmp_path)[0]["validation"]) == {
-        "pose",
-        "x_mm",
-        "yaw_deg",
-        "edge_mm",
-        "edge_deg",
-    }
+    assert trainer.train(task, small.TRAINING, data, 0, tmp_path).kind == "posenet"
+    assert lines(tmp_path)[0]["validation"].keys() == {"pose", *(t.name for t in small.TARGETS)}
     assert checkpoint.read_net(tmp_path) == small.POSENET
     assert checkpoint.read_targets(tmp_path) == small.TARGETS
 
@@ -294,30 +253,16 @@ def test_overfits_four_images(tmp_path):
     """Both images come back from the sheared one, also with averaged weights and running statistics."""
     net = UnshearNet(size=32, widths=(8, 16, 16), pose_channels=16, shear_channels=16)
     four = small.pair(7, 4, 32)
-    training = Training(
-        epochs=450,
-        batch=4,
-        learning_rate=5e-3,
-        crops=10,
-        crop_px=8,
-        averaging=0.9,
-        validate_every=225,
-    )
-
-    def same(start):
-        while True:
-            yield four
-
-    data = trainer.TrainingData(same, lambda: iter([four]), epoch_images=4)
+    steps = {"epochs": 450, "batch": 4, "learning_rate": 5e-3, "validate_every": 225}
+    training = Training(**steps, crops=10, crop_px=8, averaging=0.9)
+    data = trainer.TrainingData(lambda start: itertools.repeat(four), lambda: iter([four]), 4)
     trainer.train(make_unshear_task(net, training), training, data, 0, tmp_path)
     variables = checkpoint.load_best(tmp_path)
     sheared, canonical = (
         jnp.asarray(four[name] / 255, jnp.float32) for name in ("sheared", "canonical")
     )
-    assert (
-        float(jnp.mean((unshearnet.unshear(net, variables, sheared) - canonical) ** 2)) < 0.01
-    )  # mean image: 0.12
-    again = jax.nn.sigmoid(
-        unshearnet.decode_sheared(net, variables, *unshearnet.encode(net, variables, sheared))
-    )
+    unsheared = unshearnet.unshear(net, variables, sheared)
+    assert float(jnp.mean((unsheared - canonical) ** 2)) < 0.01  # mean image: 0.12
+    codes = unshearnet.encode(net, variables, sheared)
+    again = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, *codes))
     assert float(jnp.mean((again - sheared) ** 2)) < 0.01

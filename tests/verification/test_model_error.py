@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jaxunshear.config.sensor import TACTIP_331, Camera
 from jaxunshear.simulator.pin_layout import compute_pin_tips
@@ -36,22 +37,18 @@ def test_the_logarithmic_law_is_the_neo_hookean_one_at_small_strain_and_turns_wi
     generator = np.random.default_rng(0)
     plane = np.zeros((3, 3))
     plane[::2, ::2], plane[1, 1] = generator.normal(size=(2, 2)), generator.normal()
-    angle = 0.7
-    turn = np.array(
-        [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
-    )
+    turn = Rotation.from_euler("y", -0.7).as_matrix()
+    small, large = np.eye(3) + 1e-4 * plane, np.eye(3) + 0.2 * plane
+    stretched = np.diag(np.exp([0.5, -0.25, -0.25]))
     with jax.enable_x64(True):
-        small = np.eye(3) + 1e-4 * plane
-        assert float(compute_hencky_energy(small, 1.0, 20.0)) == pytest.approx(
-            float(neo_hookean(small, 1.0, 20.0)), rel=2e-3
-        )
-        large = np.eye(3) + 0.2 * plane
-        turned = float(compute_hencky_energy(turn @ large, 1.0, 20.0))
-        same = float(compute_hencky_energy(large, 1.0, 20.0))
-        assert turned == pytest.approx(same, rel=1e-9)
-        stretched = np.diag(np.exp([0.5, -0.25, -0.25]))
-        energy = float(compute_hencky_energy(stretched, 1.0, 20.0))
-        assert energy == pytest.approx(0.5**2 + 2 * 0.25**2, rel=1e-6)
+        energies = [
+            float(compute_hencky_energy(each, 1.0, 20.0))
+            for each in (small, turn @ large, large, stretched)
+        ]
+        expected = float(neo_hookean(small, 1.0, 20.0))
+    assert energies[0] == pytest.approx(expected, rel=2e-3)
+    assert energies[1] == pytest.approx(energies[2], rel=1e-9)
+    assert energies[3] == pytest.approx(0.5**2 + 2 * 0.25**2, rel=1e-6)
 
 
 @pytest.mark.long

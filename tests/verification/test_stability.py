@@ -10,20 +10,12 @@ from verification.contact_case import HALF_SIZE, Case, make_motion, make_path_ca
 from verification.contact_cases import list_cases
 
 PINS = np.zeros((HALF_SIZE.pins, 3))
-TIGHTER = "reference"
 
 
 def answer(pins: np.ndarray, converged: bool = True) -> Contacts:
-    none = np.zeros(1, int)
-    return Contacts(
-        np.asarray(pins, float)[None],
-        np.array([0.01]),
-        np.array([converged]),
-        *(none,) * 4,
-        np.zeros((1, 3)),
-        none,
-        np.zeros(1, bool),
-    )
+    none, flag = np.zeros(1, int), np.array([converged])
+    found = np.asarray(pins, float)[None], np.array([0.01]), flag, *(none,) * 4
+    return Contacts(*found, np.zeros((1, 3)), none, np.zeros(1, bool))
 
 
 def examine(solve, refused=None, twin=None) -> stability.StabilityRow:
@@ -72,6 +64,10 @@ def test_senseless_contacts_are_refused_by_name(part, least):
     assert all(row.outcome == stability.REFUSED and row.said for row in rows)
 
 
+def crash(level, retry):
+    raise ZeroDivisionError
+
+
 def shift_in_float64(level, retry):
     return answer(PINS + 0.05 * (getattr(level, "precision", "") == "float64"))
 
@@ -79,14 +75,10 @@ def shift_in_float64(level, retry):
 @pytest.mark.parametrize(
     ("solve", "twin", "outcome"),
     [
-        (lambda level, retry: answer(PINS * np.nan), None, "not finite"),
-        (
-            lambda level, retry: answer(PINS + (level == "auto")),
-            None,
-            "converged to something else",
-        ),
+        (lambda *_: answer(PINS * np.nan), None, "not finite"),
+        (lambda level, _: answer(PINS + (level == "auto")), None, "converged to something else"),
         (shift_in_float64, None, "float32 is too coarse"),
-        (lambda level, retry: 1 / 0, None, "crashed"),
+        (crash, None, "crashed"),
         (still, lambda *_: answer(PINS + 0.1), "differs from its twin"),
     ],
 )
@@ -108,15 +100,16 @@ def test_what_nothing_could_be_compared_with_is_not_called_solved():
     """No tight solution: the reference judges; without that one it is said that nothing did."""
 
     def fail_if_tight(reference, off):
-        return lambda level, retry: answer(
-            PINS + off * (level == "auto"), converged=level in ("auto", reference)
-        )
+        def solve(level, retry):
+            return answer(PINS + off * (level == "auto"), level in ("auto", reference))
 
-    row = examine(fail_if_tight(TIGHTER, 0.001))
+        return solve
+
+    row = examine(fail_if_tight("reference", 0.001))
     assert row.outcome == stability.UNCOMPARED and row.holds
     assert np.isnan(row.float_px) and row.tight_px > 0
     assert np.isnan(examine(fail_if_tight("none", 0.001)).tight_px)
-    assert examine(fail_if_tight(TIGHTER, 10)).outcome == "converged to something else"
+    assert examine(fail_if_tight("reference", 10)).outcome == "converged to something else"
     lone = examine(still, twin=lambda *_: answer(PINS, converged=False))
     assert lone.outcome == stability.UNCOMPARED
 
@@ -126,9 +119,8 @@ def test_a_refusal_must_name_what_is_refused():
         raise UserError("friction -1 is below zero")
 
     assert examine(refuse, refused="friction").holds
-    assert not examine(refuse, refused="depth").holds
-    assert not examine(refuse).holds
-    assert not examine(still, refused="depth").holds
+    for solve, refused in ((refuse, "depth"), (refuse, None), (still, "depth")):
+        assert not examine(solve, refused=refused).holds
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,7 @@ import pytest
 from tests.golden import make_runs
 from verification import elements, invariants, normal_contact, tamaas_comparison, tangential_contact
 from verification.half_space import HalfSpace, make_half_space
-from verification.verification_rows import (
-    Row,
-    Rows,
-    convert_row,
-    fit_order,
-    format_rows,
-)
+from verification.verification_rows import Row, Rows, convert_row, fit_order, format_rows
 from verification.verify import CHECKS, INCOMPRESSIBLE, run_verification
 
 
@@ -79,20 +73,24 @@ def test_without_tamaas_a_row_says_so(body, absent):
     assert row.bar is None and "pip install" in row.note
 
 
-def compare(*measured, **more) -> Row:
+@pytest.mark.parametrize(
+    ("measured", "bar", "more", "holds"),
+    [
+        (2.01, 0.01, {}, True),
+        (2.03, 0.01, {}, False),
+        (4.0, None, {}, True),  # informs only
+        (math.nan, 0.01, {}, False),
+        (2.0, 0.01, {"settled": False}, False),
+        (2.0, 0.01, {"order": 1.1, "least_order": 1.0}, True),
+        (2.0, 0.01, {"order": 0.8, "least_order": 1.0}, False),
+        (2.0, 0.01, {"order": math.nan, "least_order": 1.0}, False),
+        (2.0, 0.01, {"order": None, "least_order": 1.0}, False),
+    ],
+)
+def test_a_bar_holds_or_does_not(measured, bar, more, holds):
     rows = Rows("g")
-    rows.compare("p", *measured, **more)
-    return rows[0]
-
-
-def test_a_bar_holds_or_does_not():
-    assert compare(2.0, 2.01, 0.01).holds
-    assert not compare(2.0, 2.03, 0.01).holds
-    assert compare(2.0, 4.0).holds  # informs only
-    assert not compare(2.0, math.nan, 0.01).holds
-    assert not compare(2.0, 2.0, 0.01, settled=False).holds
-    for order, holds in ((1.1, True), (0.8, False), (math.nan, False), (None, False)):
-        assert compare(2.0, 2.0, 0.01, order=order, least_order=1.0).holds == holds
+    rows.compare("p", 2.0, measured, bar, **more)
+    assert rows[0].holds == holds
 
 
 def test_orders_are_fitted():

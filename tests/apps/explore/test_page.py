@@ -1,6 +1,5 @@
 """The page in a real browser: controls, a wrong file, two tabs, a phone's width, no fetches."""
 
-import io
 import os
 import shutil
 import signal
@@ -11,7 +10,8 @@ from base64 import b64decode
 
 import numpy as np
 import pytest
-from PIL import Image
+
+from tests.helpers.image_files import png_of
 
 pytest.importorskip("nicegui", reason="needs the extra `explore`")
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
@@ -27,9 +27,7 @@ PATIENCE = 120_000  # ms: the first picture of another sensor makes its dome
 def address(tmp_path_factory):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    environment = {
-        name: value for name, value in os.environ.items() if not name.startswith("PYTEST")
-    }
+    environment = {name: os.environ[name] for name in os.environ if not name.startswith("PYTEST")}
     folder = tmp_path_factory.mktemp("explore")
     words = [sys.executable, "-m", "jaxunshear", "explore", "--port", str(port)]
     with (folder / "errors").open("w") as errors:
@@ -61,20 +59,19 @@ class Tab:
         self.problems, self.asked = [], []
         self.page = browser.new_page(**view)
         self.page.set_default_timeout(PATIENCE)
-        self.page.on(
-            "console",
-            lambda message: message.type == "error" and self.problems.append(message.text),
-        )
+        self.page.on("console", self.note_message)
         self.page.on("pageerror", lambda error: self.problems.append(str(error)))
         self.page.on("request", lambda request: self.asked.append(request.url))
         self.page.goto(address)
         self.page.locator(".time", has_text="computed").wait_for()
 
+    def note_message(self, message):
+        if message.type == "error":
+            self.problems.append(message.text)
+
     def images(self):
-        return {
-            n: self.page.locator(f".{n} img").get_attribute("src")
-            for n in ("sheared", "unsheared", "tap")
-        }
+        names = ("sheared", "unsheared", "tap")
+        return {n: self.page.locator(f".{n} img").get_attribute("src") for n in names}
 
     def pose(self):
         rows = self.page.locator(".q-table tbody tr").all_inner_texts()
@@ -109,9 +106,8 @@ class Tab:
         self.page.locator(".q-menu .q-item", has_text=name).first.click()
 
     def drop(self, name, data):
-        self.page.locator("input[type=file]").set_input_files(
-            {"name": name, "mimeType": "application/octet-stream", "buffer": data}
-        )
+        file = {"name": name, "mimeType": "application/octet-stream", "buffer": data}
+        self.page.locator("input[type=file]").set_input_files(file)
 
     def problem(self):
         line = self.page.locator(".problem")
@@ -139,9 +135,8 @@ def test_pressing_and_sliding(tab):
     tab.page.wait_for_timeout(1000)
     images = tab.images()
     assert images["sheared"] != images["tap"] != images["unsheared"]
-    assert float(tab.pose()["x, mm"][0]) == pytest.approx(
-        0.06 * 64, abs=0.1
-    )  # a map of 64 mm; the mouse stands on pixels
+    # a map of 64 mm; the mouse stands on pixels
+    assert float(tab.pose()["x, mm"][0]) == pytest.approx(0.06 * 64, abs=0.1)
     tab.drag((0.5, 0.5), (0.5, 0.9))  # as far as slides go
     tab.page.locator(".hint", has_text="slid by 0.0, -5.0 mm").wait_for()
     tab.page.get_by_text("Lift and tap").click()
@@ -176,12 +171,6 @@ def test_a_depth_that_cannot_be_gives_a_line_and_no_picture(tab):
     assert not tab.page.locator(".problem").is_visible()
 
 
-def png_of(image):
-    buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "png")
-    return buffer.getvalue()
-
-
 def test_recorded_images(tab):
     tab.drop("notes.txt", b"no image")
     assert "notes.txt: no readable image" in tab.problem()
@@ -210,9 +199,8 @@ def test_two_tabs_do_not_disturb_each_other(tab, browser, address):
 
 
 def test_a_phone(browser, address):
-    phone = Tab(
-        browser, address, viewport={"width": 375, "height": 812}, has_touch=True, is_mobile=True
-    )
+    view = {"width": 375, "height": 812}
+    phone = Tab(browser, address, viewport=view, has_touch=True, is_mobile=True)
     assert phone.page.evaluate("document.documentElement.scrollWidth") <= 375
     phone.changed(lambda: phone.drag((0.5, 0.5), (0.54, 0.5)))
     phone.close(address)

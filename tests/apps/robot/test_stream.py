@@ -44,11 +44,20 @@ def run(frames, live=False, seconds=0.0, images=None, inline=True):
     out, model = io.StringIO(), StandIn(None, EXPERIMENT)
     model.seconds = seconds
     summary = stream(iter(frames), live, model, out, images, inline)
-    return summary, [json.loads(line) for line in out.getvalue().splitlines()]
+    return summary, read_lines(out)
+
+
+def read_lines(out):
+    return [json.loads(line) for line in out.getvalue().splitlines()]
+
+
+def make_frames(*pixels):
+    """Number frames by their place, which is also their name."""
+    return [SourceFrame(number, str(number), each, "") for number, each in enumerate(pixels)]
 
 
 def test_a_line_a_frame_with_image_pose_and_confidence():
-    summary, lines = run([SourceFrame(0, "a", dots(), ""), SourceFrame(1, "b", dots(1), "")])
+    summary, lines = run(make_frames(dots(), dots(1)))
     assert (summary.used, summary.skipped, summary.dropped) == (2, 0, 0)
     assert lines[0]["edge_mm"] == 0.25 and lines[0]["confidence"] == 0.9 and lines[0]["ms"] > 0
     image = np.asarray(Image.open(io.BytesIO(base64.b64decode(lines[1]["image_png"]))))
@@ -57,32 +66,21 @@ def test_a_line_a_frame_with_image_pose_and_confidence():
 
 
 def test_bad_frames_are_reported_and_skipped():
-    frames = [
-        SourceFrame(0, "a", dots(), ""),
-        SourceFrame(1, "torn", None, "no readable image"),
-        SourceFrame(2, "flat", np.full((64, 64), 7, np.uint8), ""),
-        SourceFrame(3, "small", np.zeros((4, 4), np.uint8), ""),
-        SourceFrame(4, "nan", np.full((64, 64), np.nan), ""),
-        SourceFrame(5, "five channels", np.zeros((64, 64, 5), np.uint8), ""),
-        SourceFrame(6, "b", dots(3), ""),
-    ]
-    summary, lines = run(frames)
+    torn = SourceFrame(1, "torn", None, "no readable image")
+    flat, small = np.full((64, 64), 7, np.uint8), np.zeros((4, 4), np.uint8)
+    nan, five_channels = np.full((64, 64), np.nan), np.zeros((64, 64, 5), np.uint8)
+    first, *others = make_frames(dots(), flat, small, nan, five_channels, dots(3))
+    summary, lines = run([first, torn, *others])
     assert (summary.used, summary.skipped) == (2, 5)
-    assert [("error" in line) for line in lines] == [False, True, True, True, True, True, False]
+    assert [("error" in line) for line in lines] == [False, *[True] * 5, False]
     assert sum(summary.problems.values()) == 5
 
 
 def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
     """One is noise, another has no identified pins; with `force` only the latter is refused."""
     model = TrainedModel(None, EXPERIMENT)
-    preprocess = model.preprocess
-    drawn = np.asarray(draw_dots(np.float32(model.lattice.rest)[None], 1.5, preprocess.size))
-    pins = np.uint8(255 * drawn[0, ..., 0] + 0.5)
-    frames = [
-        SourceFrame(0, "pins", pins, ""),
-        SourceFrame(1, "noise", dots(), ""),
-        SourceFrame(2, "hidden", pins, ""),
-    ]
+    rest, size = np.float32(model.lattice.rest), model.preprocess.size
+    pins = np.uint8(255 * np.asarray(draw_dots(rest[None], 1.5, size))[0, ..., 0] + 0.5)
     model.targets = ("edge_mm",)
     model._forward = lambda values: (values, {UNSHEARED: {"edge_mm": np.array([0.25])}})
 
@@ -94,10 +92,9 @@ def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
         model.reader.read = lambda images: read(images)._replace(
             identified=np.array(next(identified))
         )
-        summary = stream(
-            iter(frames), False, model, out, None, True, lambda number: {"edge_mm": 0.25 - number}
-        )
-        return summary, [json.loads(line) for line in out.getvalue().splitlines()]
+        frames = iter(make_frames(pins, dots(), pins))
+        true = lambda number: {"edge_mm": 0.25 - number}  # noqa: E731
+        return stream(frames, False, model, out, None, True, true), read_lines(out)
 
     summary, lines = answer(False)
     assert (summary.used, summary.skipped) == (1, 2)
@@ -130,13 +127,11 @@ class Capture:
 @pytest.mark.parametrize("channels", [(), (1,), (3,), (4,)])
 def test_greys_of_a_camera_are_not_mirrored_and_colours_are_red_green_blue(channels):
     pixels = np.random.default_rng(0).integers(0, 255, (40, 60, *channels), dtype=np.uint8)
-    shown = [
-        frame.pixels
-        for frame in frame_sources._capture_frames(Capture(pixels), "camera 0", float("inf"))
-    ]
-    colour = channels in ((3,), (4,))
-    expected = np.stack([pixels[..., 2], pixels[..., 1], pixels[..., 0]], -1) if colour else pixels
-    assert len(shown) == 3 and all(np.array_equal(each, expected) for each in shown)
+    frames = list(frame_sources._capture_frames(Capture(pixels), "camera 0", float("inf")))
+    expected = pixels[..., 2::-1] if channels in ((3,), (4,)) else pixels
+    assert len(frames) == 3
+    for frame in frames:
+        np.testing.assert_array_equal(frame.pixels, expected)
 
 
 def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capfd):
@@ -150,13 +145,10 @@ def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capf
     writer.release()
     frames, live = open_frames(str(video), Preprocess(), None)
     shown = list(frames)
-    assert not live
-    assert [frame.name for frame in shown] == [f"touch.avi {number}" for number in range(4)]
-    left, right = (
-        shown[0].pixels[:, half].mean(axis=(0, 1)) for half in (slice(70), slice(90, None))
-    )
-    np.testing.assert_allclose(left, [0, 127, 255], atol=6)  # red, green, blue
-    np.testing.assert_allclose(right, 0, atol=6)
+    assert not live and [frame.name for frame in shown] == [f"touch.avi {n}" for n in range(4)]
+    left, right = shown[0].pixels[:, :70], shown[0].pixels[:, 90:]
+    np.testing.assert_allclose(left.mean(axis=(0, 1)), [0, 127, 255], atol=6)  # red, green, blue
+    np.testing.assert_allclose(right.mean(axis=(0, 1)), 0, atol=6)
     summary, lines = run(open_frames(str(video), Preprocess(), None)[0])
     assert summary.used == len(lines) == 4
     (tmp_path / "torn.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + b"x" * 500)
@@ -166,27 +158,27 @@ def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capf
 
 
 def test_images_go_to_a_folder(tmp_path):
-    _, lines = run([SourceFrame(7, "a", dots(), "")], images=tmp_path / "out", inline=False)
-    assert lines[0]["image"].endswith("000007.png") and "image_png" not in lines[0]
-    assert np.asarray(Image.open(lines[0]["image"])).shape == (128, 128)
+    _, lines = run(make_frames(dots(), dots()), images=tmp_path / "out", inline=False)
+    assert lines[1]["image"].endswith("000001.png") and "image_png" not in lines[1]
+    assert np.asarray(Image.open(lines[1]["image"])).shape == (128, 128)
 
 
 def test_a_slow_robot_sees_the_newest_frame_and_the_rest_are_dropped():
-    frames = (SourceFrame(number, str(number), dots(), "") for number in range(40))
-    live = frame_sources._yield_latest(frame_sources._play(frames, fps=200))
+    live = frame_sources._yield_latest(frame_sources._play(make_frames(*[dots()] * 40), fps=200))
     summary, lines = run(live, live=True, seconds=0.03)
     assert summary.dropped > 10 and summary.used + summary.dropped == 40
-    assert lines[-1]["frame"] == 39
-    assert [line["frame"] for line in lines] == sorted(line["frame"] for line in lines)
+    shown = [line["frame"] for line in lines]
+    assert shown[-1] == 39 and shown == sorted(shown)
+
+
+def break_off(end):
+    yield SourceFrame(0, "a", dots(), "")
+    raise end
 
 
 def test_a_problem_in_the_reading_thread_is_reported():
-    def broken():
-        yield SourceFrame(0, "a", dots(), "")
-        raise UserError("camera 0 gave no frame")
-
     with pytest.raises(UserError, match="camera 0 gave no frame"):
-        list(frame_sources._yield_latest(broken()))
+        list(frame_sources._yield_latest(break_off(UserError("camera 0 gave no frame"))))
 
 
 def test_folders_are_read_in_order_with_torn_files_among_them(tmp_path):
@@ -201,7 +193,7 @@ def test_folders_are_read_in_order_with_torn_files_among_them(tmp_path):
 
 
 @pytest.mark.parametrize("source", ["nowhere", "camera:x"])
-def test_sources_that_are_none(source, monkeypatch):
+def test_sources_that_are_none(source):
     with pytest.raises(UserError):
         open_frames(source, Preprocess(), None)
 
@@ -210,15 +202,11 @@ def test_sources_that_are_none(source, monkeypatch):
     "end", [KeyboardInterrupt(), UserError("camera 0 gave no frame 30 times in a row")]
 )
 def test_a_camera_ends_by_a_key_or_a_pulled_plug_with_its_summary(end):
-    def camera():
-        yield SourceFrame(0, "a", dots(), "")
-        raise end
-
-    summary, lines = run(camera(), live=True)
+    summary, lines = run(break_off(end), live=True)
     assert summary.used == len(lines) == 1 and summary.latency_ms
     assert list(summary.problems) == [str(end)] * isinstance(end, UserError)
     with pytest.raises(type(end)):
-        run(camera(), live=False)
+        run(break_off(end), live=False)
 
 
 def disc(middle, size=240):
@@ -242,9 +230,9 @@ def test_the_crop_of_a_camera_comes_to_rest():
 
 
 def test_frames_of_a_folder_are_cropped_as_elsewhere(tmp_path):
+    preprocess = Preprocess(size=128)
     for number, middle in enumerate((110, 120, 130)):
         Image.fromarray(disc(middle)).save(tmp_path / f"{number}.png")
-    frames, _ = open_frames(str(tmp_path), Preprocess(size=128), None)
-    assert {frame.view for frame in frames} == {
-        read_recordings(tmp_path, Preprocess(size=128)).find_common_view()
-    }
+    frames, _ = open_frames(str(tmp_path), preprocess, None)
+    expected = read_recordings(tmp_path, preprocess).find_common_view()
+    assert {frame.view for frame in frames} == {expected}

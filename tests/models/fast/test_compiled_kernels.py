@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 
 from jaxunshear.models.fast import compiled_kernels, conv
+from jaxunshear.models.fast.compiled_kernels import kernel_gradient
+from tests.helpers.convolutions import check_close, convolve
 
 compiled = pytest.mark.usefixtures("compiled")
 # k, border, C, N, images, H, W: tails of rows and of vectors, either array the wider, borders of every kind, several slabs
@@ -32,96 +35,95 @@ CASES = [
 
 def arrays(k, border, c, n, images, h, w):
     rng = np.random.default_rng(k + c + n)
-    x = np.pad(
-        rng.normal(size=(images, h, w, c)).astype(np.float32),
-        ((0, 0), (border, border), (border, border), (0, 0)),
-    )
-    dy = rng.normal(size=(images, x.shape[1] - k + 1, x.shape[2] - k + 1, n)).astype(np.float32)
-    return x, dy
+    x = conv.pad(np.float32(rng.normal(size=(images, h, w, c))), border)
+    dy = rng.normal(size=(images, x.shape[1] - k + 1, x.shape[2] - k + 1, n))
+    return np.array(x), dy.astype(np.float32)
 
 
 def by_definition(x, dy, k):
     x, dy = np.float64(x), np.float64(dy)
     h, w = dy.shape[1:3]
-    places = [[x[:, i : i + h, j : j + w] for j in range(k)] for i in range(k)]
-    return np.stack(
-        [[np.tensordot(place, dy, ((0, 1, 2), (0, 1, 2))) for place in row] for row in places]
-    )
+    places = [x[:, i : i + h, j : j + w] for i in range(k) for j in range(k)]
+    found = [np.tensordot(place, dy, ((0, 1, 2), (0, 1, 2))) for place in places]
+    return np.reshape(found, (k, k, x.shape[-1], dy.shape[-1]))
 
 
 @compiled
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_it_is_the_sum_it_says(case):
-    k, border = case[:2]
     x, dy = arrays(*case)
-    expected = by_definition(x, dy, k)
-    for run in (
-        compiled_kernels.kernel_gradient,
-        jax.jit(compiled_kernels.kernel_gradient, static_argnums=(2, 3)),
-    ):
-        np.testing.assert_allclose(
-            run(x, dy, k, border), expected, atol=2e-6 * np.abs(expected).max(), rtol=0
-        )
+    expected = by_definition(x, dy, case[0])
+    for run in (kernel_gradient, jax.jit(kernel_gradient, static_argnums=(2, 3))):
+        found = np.float64(run(x, dy, *case[:2]))
+        check_close(found, expected, 2e-6)
 
 
 @compiled
 def test_the_network_takes_it_and_twice_gives_the_same_bits():
     x, dy = arrays(2, 1, 24, 64, 5, 17, 16)
     w = jnp.ones((2, 2, 24, 64), jnp.float32)
-    grad = jax.jit(lambda w: jax.vjp(lambda w: conv.conv_valid(x, w, 1), w)[1](dy)[0])
-    assert compiled_kernels.NAMES["KernelGradient"] in grad.lower(w).as_text()
+
+    def make_gradient():
+        return jax.jit(lambda w: jax.vjp(lambda w: conv.conv_valid(x, w, 1), w)[1](dy)[0])
+
+    grad, name = make_gradient(), compiled_kernels.NAMES["KernelGradient"]
+    assert name in grad.lower(w).as_text()
     first = grad(w)
     for _ in range(10):
         np.testing.assert_array_equal(grad(w), first)
     for form in ("xla", "counted"):
         with compiled_kernels.use_form(form):
-            other = jax.jit(lambda w: jax.vjp(lambda w: conv.conv_valid(x, w, 1), w)[1](dy)[0])
-            assert compiled_kernels.NAMES["KernelGradient"] not in other.lower(w).as_text()
-            np.testing.assert_allclose(other(w), first, atol=1e-5 * np.abs(first).max(), rtol=0)
+            other = make_gradient()
+            assert name not in other.lower(w).as_text()
+            check_close(other(w), first, 1e-5)
 
 
 @compiled
 def test_mapped_over_it_is_as_one_by_one():
     x, dy = (array.reshape(3, 2, *array.shape[1:]) for array in arrays(2, 0, 5, 16, 6, 6, 5))
-    run = lambda x, dy: compiled_kernels.kernel_gradient(x, dy, 2, 0)  # noqa: E731
-    np.testing.assert_array_equal(
-        jax.vmap(run)(x, dy), np.stack([run(a, b) for a, b in zip(x, dy, strict=True)])
-    )
+    run = partial(kernel_gradient, k=2, border=0)
+    one_by_one = np.stack([run(*each) for each in zip(x, dy, strict=True)])
+    np.testing.assert_array_equal(jax.vmap(run)(x, dy), one_by_one)
 
 
 @compiled
 def test_what_is_not_finite_is_passed_on():
     x, dy = arrays(2, 0, 8, 16, 2, 6, 5)
     x[0, 3, 2, 1] = np.nan
-    found = np.isnan(compiled_kernels.kernel_gradient(x, dy, 2, 0))
+    found = np.isnan(kernel_gradient(x, dy, 2, 0))
     assert found[:, :, 1].all() and found.sum() == 4 * 16
 
 
-@pytest.mark.parametrize("kind", [jnp.float64, jnp.bfloat16])
-def test_other_numbers_and_few_channels_are_left_to_xla(kind):
-    with jax.enable_x64(True):
-        assert not compiled_kernels.can_compute_gradient(
-            jnp.zeros((1, 3, 3, 16), kind), jnp.zeros((1, 2, 2, 16), kind)
-        )
+def test_other_numbers_and_few_channels_are_left_to_xla():
+    for kind in (jnp.float64, jnp.bfloat16):
+        with jax.enable_x64(True):
+            wide = jnp.zeros((1, 3, 3, 16), kind), jnp.zeros((1, 2, 2, 16), kind)
+            assert not compiled_kernels.can_compute_gradient(*wide)
     few = jnp.zeros((1, 3, 3, 15)), jnp.zeros((1, 2, 2, 3))
     assert not compiled_kernels.can_compute_gradient(*few)
     with pytest.raises(ValueError, match="15 and 3 channels"):
-        compiled_kernels.kernel_gradient(*few, 2, 0)
+        kernel_gradient(*few, 2, 0)
 
 
-def reported(
-    environment, code="print(compiled_kernels.is_available(), compiled_kernels.is_available())"
-) -> tuple[str, str]:
+AVAILABLE = "print(compiled_kernels.is_available(), compiled_kernels.is_available())"
+
+
+def reported(environment, code=AVAILABLE) -> tuple[str, str]:
     """What a process of its own says: whether there is a compiled form (in haste, not optimised), and its notes."""
     environment = {**os.environ, "PYTHONWARNINGS": "always", **environment}
-    command = [
-        sys.executable,
-        "-c",
-        f"from jaxunshear.models.fast import compiled_kernels; compiled_kernels.FLAGS += ('-O0',); {code}",
-    ]
+    start = (
+        "from jaxunshear.models.fast import compiled_kernels; compiled_kernels.FLAGS += ('-O0',)"
+    )
+    command = [sys.executable, "-c", f"{start}; {code}"]
     process = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert process.returncode == 0, process.stderr
     return process.stdout.split()[0], process.stderr
+
+
+def write_compiler(path, macros, rest):
+    """Write a script that answers with `macros` if asked for them, and does the `rest` if not."""
+    path.write_text(f'#!/bin/sh\ncase "$*" in *-dM*) {macros};; esac\n{rest}\n')
+    path.chmod(0o755)
 
 
 @compiled
@@ -130,9 +132,12 @@ def test_it_is_compiled_once_and_kept_until_it_is_damaged(tmp_path):
     folder, script, made = tmp_path / "cache", tmp_path / "compiler", tmp_path / "made"
     folder.mkdir()
     real = os.environ.get("CXX") or "c++"
-    again = f'for out; do :; done; if [ -f "{made}" ]; then cp "{made}" "$out"; else {real} "$@" && cp "$out" "{made}"; fi'
-    script.write_text(f'#!/bin/sh\ncase "$*" in *-dM*) exec {real} "$@";; esac\n{again}\n')
-    script.chmod(0o755)
+    write_compiler(
+        script,
+        f'exec {real} "$@"',
+        f'for out; do :; done; if [ -f "{made}" ]; then cp "{made}" "$out"; '
+        f'else {real} "$@" && cp "$out" "{made}"; fi',
+    )
     cache = {"JAXUNSHEAR_CACHE": str(folder), "CXX": str(script)}
     assert reported(cache) == ("True", "")
     (kept,) = folder.iterdir()
@@ -175,14 +180,9 @@ def test_without_a_compiler_nothing_is_said(tmp_path):
 )
 def test_what_hinders_it_is_reported_once(tmp_path, cxx, cache, reason):
     (tmp_path / "file").touch()
-    for name, rest in (
-        ("probe", "exit 0"),
-        ("broken", "echo no member named x: an error >&2; exit 1"),
-    ):
-        (tmp_path / name).write_text(
-            f'#!/bin/sh\ncase "$*" in *-dM*) echo a macro; exit 0;; esac\n{rest}\n'
-        )
-        (tmp_path / name).chmod(0o755)
+    fail = "echo no member named x: an error >&2; exit 1"
+    for name, rest in (("probe", "exit 0"), ("broken", fail)):
+        write_compiler(tmp_path / name, "echo a macro; exit 0", rest)
     environment = {"JAXUNSHEAR_CACHE": str(tmp_path / cache), "CXX": cxx.format(folder=tmp_path)}
     answer, said = reported(environment)
     assert answer == "False" and said.count("slower form") == 1 and re.search(reason, said)
@@ -198,12 +198,6 @@ def test_second_derivatives_are_those_of_the_plain_convolution():
         return jax.grad(lambda x, w: jnp.sum(inner(w, x) ** 2), (0, 1))(x[:, 1:-1, 1:-1], w)
 
     ours = slope(lambda x, w: conv.conv_valid(conv.pad(x, 1), w, 1))
-    plain = slope(
-        lambda x, w: jax.lax.conv_general_dilated(
-            x, w, (1, 1), 2 * [(1, 1)], dimension_numbers=("NHWC", "HWIO", "NHWC")
-        )
-    )
+    plain = slope(partial(convolve, padding=2 * [(1, 1)]))
     for got, expected in zip(ours, plain, strict=True):
-        np.testing.assert_allclose(
-            got, expected, atol=1e-5 * float(jnp.abs(expected).max()), rtol=0
-        )
+        check_close(got, expected, 1e-5)
