@@ -75,15 +75,19 @@ def strict(request: pytest.FixtureRequest) -> Iterator[None]:
         yield
 
 
-# They take a worker longest; started last, they would keep one waiting for the other.
-FIRST = {
-    *("test_run.py", "test_laboratory.py", "test_notebooks.py", "test_probes.py"),
-    *("test_leakage.py", "test_pose_estimators.py", "test_calibrate.py", "test_trainer.py"),
-}
+# They take a worker longest; started last, they would keep one waiting for the other. The runs come
+# first: later files find what these compiled.
+FIRST = (
+    *("test_run.py", "recordings/test_laboratory.py", "calibration/test_calibrate.py"),
+    *("sweep/test_run.py", "evaluation/test_leakage.py", "test_notebooks.py"),
+    *("evaluation/test_probes.py", "evaluation/test_pose_estimators.py"),
+    "training/test_trainer.py",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    items.sort(key=lambda item: item.path.name not in FIRST)
+    order = {Path(__file__).parent / name: place for place, name in enumerate(FIRST)}
+    items.sort(key=lambda item: order.get(item.path, len(order)))
 
 
 class Answer(NamedTuple):

@@ -15,7 +15,15 @@ def results(notebook: nbformat.NotebookNode) -> list[bool]:
     return [any(each.get("name") != "stderr" for each in some) for some in outputs]
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+# its gradients, which no command takes, compile for long
+LONG = {"identify"}
+PARAMETERS = [
+    pytest.param(path, marks=[pytest.mark.long] if path.stem in LONG else [], id=path.stem)
+    for path in NOTEBOOKS
+]
+
+
+@pytest.mark.parametrize("path", PARAMETERS)
 def test_a_notebook_runs(path, monkeypatch, tmp_path):
     monkeypatch.delenv("MPLBACKEND")  # figures are shown, here
     notebook = nbformat.read(path, as_version=4)

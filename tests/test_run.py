@@ -36,9 +36,13 @@ TINY = ROOT / "experiments" / "tiny.py"
 SMALL = Experiment(name="small", claim="none")
 
 
-def run_command(folder: Path, *more: str) -> list[str]:
-    folders = ("--out", str(folder / "runs"), "--data", str(folder / "datasets"))
-    return [sys.executable, "-m", "jaxunshear", "run", str(TINY), *folders, *more]
+def folders(place: Path, out: Path | None = None) -> list[str]:
+    """Return the words that name the runs, and the data sets at `place`."""
+    return ["--out", str(out or place / "runs"), "--data", str(place / "datasets")]
+
+
+def run_command(place: Path, *more: str) -> list[str]:
+    return [sys.executable, "-m", "jaxunshear", "run", str(TINY), *folders(place), *more]
 
 
 @pytest.fixture(scope="module")
@@ -81,11 +85,10 @@ def test_golden_figures_of_a_run_over_images(finished):
 
 
 def test_golden_figures_of_a_run_over_pins(finished, command):
-    folders = ("--out", finished / "runs", "--data", finished / "datasets")
-    pins = ("--name", "pins", "--unshear.input", "pins", "--networks", "disentangled,posenet")
-    training = {"batch": 6, "epochs": 2, "validate_every": 4, "learning_rate": 1e-3}
-    words = [word for name, value in training.items() for word in (f"--train_pins.{name}", value)]
-    answer = command("run", TINY, *folders, *pins, *words)
+    pins = "--name pins --unshear.input pins --networks disentangled,posenet"
+    training = "--batch 6 --epochs 2 --validate_every 4 --learning_rate 0.001"
+    words = f"{pins} {training.replace('--', '--train_pins.')}".split()
+    answer = command("run", TINY, *folders(finished), *words)
     assert answer.code == 0, answer.err
     found = make_runs.collect_run(finished / "runs" / "pins", finished / "datasets")
     make_runs.hold("run over simulated pins", found)
@@ -123,21 +126,19 @@ def test_leakage_of_networks_over_images(finished, command):
     assert (run / "leakage.png").stat().st_size > 10_000 and "slide from z_p" in answer.out
 
 
-def test_a_second_run_keeps_all_work_and_all_numbers(finished):
+def test_a_second_run_keeps_all_work_and_all_numbers(finished, command):
     before = select_reproducible(results(finished))
-    trained = {
-        path: path.stat().st_mtime_ns
-        for path in (finished / "runs" / "tiny").glob("*/summary.json")
-    }
+    summaries = list((finished / "runs" / "tiny").glob("*/summary.json"))
+    trained = [path.stat().st_mtime_ns for path in summaries]
     assert len(trained) == 3
-    assert subprocess.run(run_command(finished), capture_output=True).returncode == 0
+    answer = command("run", TINY, *folders(finished))
+    assert answer.code == 0, answer.err
     assert select_reproducible(results(finished)) == before
-    assert trained == {path: path.stat().st_mtime_ns for path in trained}
+    assert trained == [path.stat().st_mtime_ns for path in summaries]
 
 
 def test_another_experiment_is_not_mixed_in(finished, command):
-    folders = ("--out", finished / "runs", "--data", finished / "datasets")
-    answer = command("train", TINY, *folders, "--train.epochs", "3")
+    answer = command("train", TINY, *folders(finished), "--train.epochs", "3")
     assert answer.code == 2 and "train.epochs" in answer.err and answer.err.count("\n") == 1
 
 
@@ -163,7 +164,7 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(
 @pytest.mark.long
 def test_a_network_is_taught_by_a_posenet_and_reported_poses(finished, command, tmp_path):
     """Results do not know that PoseNet; released weights hold no DS."""
-    words = [TINY, "--out", tmp_path, "--data", finished / "datasets"]
+    words = [TINY, *folders(finished, tmp_path)]
     words += ["--networks", "disentangled,posenet", "--train.losses.pose_label", 1]
     done = command("run", *words)
     assert done.code == 0, done.err
@@ -205,8 +206,13 @@ def test_a_network_is_taught_by_a_posenet_and_reported_poses(finished, command, 
 
 def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
     """With so small a learning rate it stays there: equal but for the statistics' last digits."""
-    words = ["--out", tmp_path, "--data", finished / "datasets"]
-    words += ["--networks", "disentangled,posenet", "--train.epochs", 1]
+    words = [
+        *folders(finished, tmp_path),
+        "--networks",
+        "disentangled,posenet",
+        "--train.epochs",
+        1,
+    ]
     begin = ["--train.start", finished / "runs" / "tiny", "--train.learning_rate", 1e-9]
     done = command("train", TINY, *words, *begin, "--network", "disentangled")
     assert done.code == 0, done.err
@@ -349,28 +355,32 @@ def test_two_runs_in_one_folder_are_refused(stage, tmp_path):
         assert free and stage(1, "finish") == {"posenet": 1}
 
 
+# What a run writes, in this order.
+WRITTEN = (
+    *("runs/tiny/experiment.json", "datasets/.partial/tactip_paired-*/00000.npz"),
+    *(f"datasets/tactip_{name}/tiny/*/metadata.json" for name in ("paired", "pose")),
+    *(f"runs/tiny/entangled/{name}.json" for name in ("model", "summary")),
+    *(f"runs/tiny/disentangled/{name}.json" for name in ("model", "summary")),
+    *(f"runs/tiny/posenet/{name}.json" for name in ("model", "summary")),
+)
+
+
 @pytest.mark.long
 def test_killed_ten_times_ends_with_the_same_numbers(finished, tmp_path):
-    moments = random.Random(0)
-    kills = 0
-    while kills < 10:
-        process = subprocess.Popen(
-            run_command(tmp_path),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        try:
-            process.wait(timeout=moments.uniform(3, 15))
-            break
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            kills += 1
-            time.sleep(0.1)
+    """Kill it within a second after it wrote each of `WRITTEN`, however fast the machine is."""
+    pauses = random.Random(0)
+    nowhere = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    for pattern in WRITTEN:
+        process = subprocess.Popen(run_command(tmp_path), **nowhere, start_new_session=True)
+        while not any(tmp_path.glob(pattern)):
+            assert process.poll() is None, f"it ended without {pattern}"
+            time.sleep(0.02)
+        time.sleep(pauses.uniform(0, 1))
+        assert process.poll() is None, f"it ended less than a second after {pattern}"
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
     last = subprocess.run(run_command(tmp_path), capture_output=True, text=True)
     assert last.returncode == 0, last.stderr
-    assert kills >= 2
     assert select_reproducible(results(tmp_path)) == select_reproducible(results(finished))
 
 

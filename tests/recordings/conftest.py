@@ -12,16 +12,8 @@ from jaxunshear.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT = (
-    "--unshear.input",
-    "pins",
-    "--train_pins.epochs",
-    "12",
-    "--train_pins.batch",
-    "16",
-    "--train_pins.validate_every",
-    "40",
-    "--pins.convolved",
-    "4,6",
+    *("--unshear.input", "pins", "--train_pins.epochs", "12", "--train_pins.batch", "16"),
+    *("--train_pins.validate_every", "40", "--pins.convolved", "4,6"),
 )
 
 
@@ -40,18 +32,8 @@ def place(tmp_path_factory):
 @pytest.fixture(scope="session")
 def pins_run(recording, place):
     """A finished run over pins."""
-    words = (
-        "run",
-        ROOT / "experiments/recorded.py",
-        "--recordings",
-        recording,
-        "--name",
-        "pins",
-        *SHORT,
-    )
-    words += ("--paired.validation", "0.2")  # enough contacts to find half-widths by
-    assert (
-        main([*map(str, words), "--out", str(place / "runs"), "--data", str(place / "datasets")])
-        == 0
-    )
+    words = ["run", ROOT / "experiments/recorded.py", "--recordings", recording, "--name", "pins"]
+    words += ["--paired.validation", "0.2"]  # enough contacts to find half-widths by
+    words += [*SHORT, "--out", place / "runs", "--data", place / "datasets"]
+    assert main([str(word) for word in words]) == 0
     return place / "runs" / "pins"

@@ -3,8 +3,10 @@
 Networks are scored on contacts that they were not trained on, and put to use.
 """
 
+import contextlib
 import csv
 import errno
+import io
 import json
 import shutil
 import sys
@@ -15,12 +17,14 @@ import numpy as np
 import pytest
 
 from jaxunshear import load_model
+from jaxunshear.cli import main
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.load import load_experiment
 from jaxunshear.data.digests import compute_digest
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.files import write_json
 from jaxunshear.training.checkpoint import read_slides
+from tests.conftest import Answer
 from tests.golden import make_runs
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -34,6 +38,14 @@ EXPERIMENT = ROOT / "experiments" / "recorded.py"
 def slides(tmp_path_factory):
     """40 slides that the run has not seen."""
     return made.edge(tmp_path_factory.mktemp("unseen") / "edge", 20, 40, seed=52) / "shear"
+
+
+def call_main(*argv):
+    """Call the command line outside a test, and return its code, output and errors."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([str(word) for word in argv])
+    return Answer(code, out.getvalue(), err.getvalue())
 
 
 def rows_of(file):
@@ -74,56 +86,67 @@ def test_the_network_has_learnt(pins_run):
     assert error["unsheared"]["Rz_deg"] < error["sheared"]["Rz_deg"]
 
 
-def test_a_finished_run_is_scored_on_other_recordings(command, pins_run, place, tmp_path):
-    other = made.edge(tmp_path / "other", 40, 40, seed=50)
-    words = ("--recordings", other, "--data", place / "datasets", "--json", tmp_path / "o.json")
-    answer = command("evaluate", pins_run, *words)
+UNIDENTIFIED = {"tap": [3, 11, 20], "shear": [1, 2, 17, 30, 40]}
+
+
+def score(pins_run, place, folder, hide):
+    """Score the run on recordings whose `UNIDENTIFIED` images have no pins, or are not there."""
+    other = made.edge(folder / "edge", 40, 40, seed=50)
+    for kind, numbers in UNIDENTIFIED.items():
+        if hide:
+            made.hide_pins(other / kind / "csv_train", numbers)
+        for number in () if hide else numbers:
+            (other / kind / "csv_train" / "images" / f"image_{number}.png").unlink()
+    words = ("--data", place / "datasets", "--json", folder / "o.json")
+    answer = call_main("evaluate", pins_run, "--recordings", other, *words)
     assert answer.code == 0, answer.err
-    rows = rows_of(tmp_path / "o.json")
-    assert json.loads((tmp_path / "o.json").read_text())["test_data"] == "other recordings"
-    assert "test, other recordings: 40 taps, 39 slides" in answer.out
-    assert "95 % half-widths of the run's own session, tried on other recordings:" in answer.out
+    return answer.out, json.loads((folder / "o.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def scored(pins_run, place, tmp_path_factory):
+    """What `evaluate` prints and writes of recordings that the run has not seen."""
+    return score(pins_run, place, tmp_path_factory.mktemp("scored"), hide=False)
+
+
+def test_a_finished_run_is_scored_on_other_recordings(pins_run, scored):
+    out, measured = scored
+    rows = {row["name"]: row["value"] for row in measured["rows"]}
+    assert measured["test_data"] == "other recordings"
+    # the pins of one more slide are not identified anyhow
+    assert "test, other recordings: 37 taps, 34 slides" in out
+    assert "95 % half-widths of the run's own session, tried on other recordings:" in out
     mae = json.loads((pins_run / "results.json").read_text())["pose_mae"]
     for way in ("tap", "sheared", "unsheared", "sheared_learnt"):
         for target in TARGETS:
-            assert (
-                0.4 * mae[way][target] < rows[f"pose_mae.{way}.{target}"] < 2.5 * mae[way][target]
-            )
+            found = rows[f"pose_mae.{way}.{target}"]
+            assert 0.4 * mae[way][target] < found < 2.5 * mae[way][target]
         assert 0.5 < rows[f"coverage.{way}.y_mm"] <= 1
-    assert (
-        "recovery" in answer.out
-        and "40 taps, 39 slides; left out: 0 taps and 1 slides" in answer.out
-        and "% within" in answer.out
-    )
+    assert "recovery" in out and "% within" in out
+    assert "37 taps, 34 slides; left out: 0 taps and 1 slides" in out
 
 
 def test_contacts_whose_pins_are_not_identified_enter_no_mean_error(
-    command, pins_run, place, tmp_path
+    pins_run, place, scored, tmp_path
 ):
-    hidden = {"tap": [3, 11, 20], "shear": [1, 2, 17, 30, 40]}
-    found = {}
-    for name in ("hidden", "without"):
-        other = made.edge(tmp_path / name, 40, 40, seed=50)
-        for kind, numbers in hidden.items():
-            made.hide_pins(other / kind / "csv_train", numbers)
-            for number in numbers if name == "without" else ():
-                (other / kind / "csv_train" / "images" / f"image_{number}.png").unlink()
-        words = ("--recordings", other, "--data", place / "datasets")
-        words += ("--json", tmp_path / f"{name}.json")
-        answer = command("evaluate", pins_run, *words)
-        assert answer.code == 0, answer.err
-        assert (
-            "37 taps, 34 slides" in answer.out
-        )  # of one more slide the pins are not identified anyhow
-        assert ("3 taps and 6 slides were not understood" in answer.out) == (name == "hidden")
-        found[name] = {
-            row: value
-            for row, value in rows_of(tmp_path / f"{name}.json").items()
-            if row.startswith("pose")
-        }
-    assert len(found["hidden"]) >= 12 and found["hidden"] == pytest.approx(
-        found["without"], rel=1e-4
-    )
+    hidden, without = score(pins_run, place, tmp_path, hide=True), scored
+    for out, _ in (hidden, without):
+        assert "37 taps, 34 slides" in out
+        assert ("3 taps and 6 slides were not understood" in out) == (out == hidden[0])
+    errors = [
+        {row["name"]: row["value"] for row in measured["rows"] if row["name"].startswith("pose")}
+        for _, measured in (hidden, without)
+    ]
+    assert len(errors[0]) >= 12 and errors[0] == pytest.approx(errors[1], rel=1e-4)
+
+
+@pytest.fixture(scope="module")
+def posed(pins_run, slides, tmp_path_factory):
+    """What `pose` prints, says and writes of the slides."""
+    file = tmp_path_factory.mktemp("posed") / "pose.json"
+    answer = call_main("pose", slides, "--model", pins_run, "--json", file)
+    assert answer.code == 0, answer.err
+    return read_csv(answer.out), answer.err, rows_of(file)
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +167,8 @@ def test_images_whose_pins_are_not_identified_have_no_pose(
     """
     folder, hidden = some_hidden
     whole = command("unshear", slides, "--model", pins_run, "--out", tmp_path / "whole")
-    assert whole.code == 0 and "40 images unsheared, 0 left out" in whole.out
+    assert whole.code == 0, whole.err
+    assert "40 images unsheared, 0 left out" in whole.out and "mean error" in whole.out
     words = ("--model", pins_run, "--out", tmp_path / "out", "--json", tmp_path / "u.json")
     answer = command("unshear", folder, *words)
     assert answer.code == 1, answer.err
@@ -194,6 +218,7 @@ def test_pose_and_stream_leave_them_out_likewise(command, pins_run, slides, some
 
     answer = command("stream", folder, "--model", pins_run, "--json", tmp_path / "stream.json")
     assert answer.code == 1 and "20 frames used, 20 skipped" in answer.err
+    assert "mean error against the labels: y_mm" in answer.err
     for line in map(json.loads, answer.out.splitlines()):
         if line["name"] in hidden:
             assert (
@@ -201,37 +226,35 @@ def test_pose_and_stream_leave_them_out_likewise(command, pins_run, slides, some
             )
             assert line["error"] == "its pins cannot be identified for sure"
         else:
-            assert line["y_mm"] == pytest.approx(
-                float(rows[line["name"]]["unsheared_y_mm"]), abs=1e-3
-            )
+            pose = float(rows[line["name"]]["unsheared_y_mm"])
+            assert line["y_mm"] == pytest.approx(pose, abs=1e-3)
+            assert {*TARGETS, *(f"error_{name}" for name in TARGETS), "confidence"} <= line.keys()
     mae = json.loads((tmp_path / "stream.json").read_text())["pose_mae"]
     assert mae["y_mm"] == pytest.approx(measured["pose_mae.unsheared.y_mm"], abs=1e-3)
 
 
-def test_python_says_nan_of_them_in_all_that_it_gives(pins_run, some_hidden):
+def test_python_gives_what_the_commands_give_and_nan_of_them(pins_run, some_hidden, posed):
     folder, hidden = some_hidden
     model, recordings = load_model(pins_run), read_recordings(folder, Preprocess(size=made.SIZE))
-    names, frames = zip(
-        *((name, image) for _, name, image in recordings.iterate_frames(model.view)),
-        strict=True,
-    )
-    images, known = np.stack(frames), np.array([name not in hidden for name in names])
+    frames = [(name, image) for _, name, image in recordings.iterate_frames(model.view)]
+    known = np.array([name not in hidden for name, _ in frames])
+    images = np.stack([image for _, image in frames])
     codes, pose = model.codes(images), model.pose(images)
+    assert codes.pose.shape[1] == 16 and codes.shear.shape[1] == 4
     has_slides = bool(read_slides(pins_run / "disentangled"))
-    answers = (
-        model.unshear(images),
-        codes.pose,
-        codes.shear,
-        *pose["as_recorded"].values(),
-        *pose["learnt"].values(),
-    )
     for answer in (
-        *answers,
-        *pose["unsheared"].values(),
+        *(model.unshear(images), codes.pose, codes.shear),
+        *(
+            values
+            for way in ("as_recorded", "learnt", "unsheared")
+            for values in pose[way].values()
+        ),
         *(model.slide(images).values() if has_slides else ()),
     ):
         values = answer.reshape(len(known), -1)
         assert np.isfinite(values[known]).all() and np.isnan(values[~known]).all()
+    printed = np.array([float(posed[0][name]["unsheared_y_mm"]) for name, _ in frames])
+    np.testing.assert_allclose(pose["unsheared"]["y_mm"][known], printed[known], atol=1e-3)
 
 
 def test_taps_alone_and_slides_alone_are_scored_as_far_as_they_go(
@@ -274,49 +297,17 @@ def test_a_copy_of_what_a_run_began_from_is_not_taken_for_unseen(
     assert answer.code == 2 and "disentangled learnt from data that are tested" in answer.err
 
 
-def test_poses_have_the_labels_names_and_their_errors_are_printed(
-    command, pins_run, slides, tmp_path
-):
-    answer = command("pose", slides, "--model", pins_run, "--json", tmp_path / "pose.json")
-    assert answer.code == 0, answer.err
-    rows = list(csv.DictReader(answer.out.splitlines()))
-    assert len(rows) == 40 and {f"unsheared_{target}" for target in TARGETS} <= rows[0].keys()
-    off = np.mean(
-        [abs(float(row["unsheared_y_mm"]) - float(row["recorded_pose_y_mm"])) for row in rows]
-    )
-    assert rows_of(tmp_path / "pose.json")["pose_mae.unsheared.y_mm"] == pytest.approx(
-        off, abs=2e-3
-    )
-    assert "mean error against the labels, unsheared" in answer.err
-    assert "learnt from recordings of one sensor of 127 pins" in answer.err
-
-
-def test_python_gives_what_the_commands_give(command, pins_run, slides):
-    model, recordings = load_model(pins_run), read_recordings(slides, Preprocess(size=made.SIZE))
-    frames = [image for _, _, image in recordings.iterate_frames(model.view)]
-    rows = list(csv.DictReader(command("pose", slides, "--model", pins_run).out.splitlines()))
-    images = np.stack(frames)
-    pose, codes = model.pose(images)["unsheared"], model.codes(images)
-    reported = np.array([float(row["unsheared_y_mm"]) for row in rows])
-    sure = np.isfinite(pose["y_mm"])
-    assert sure.mean() > 0.9 and codes.pose.shape[1] == 16 and codes.shear.shape[1] == 4
-    np.testing.assert_allclose(pose["y_mm"][sure], reported[sure], atol=1e-3)
-
-
-def test_images_are_unsheared_and_frames_streamed(command, pins_run, slides, tmp_path):
-    answer = command("unshear", slides, "--model", pins_run, "--out", tmp_path / "out")
-    assert answer.code == 0, answer.err
-    assert "40 images unsheared, 0 left out" in answer.out and "mean error" in answer.out
-    answer = command(
-        "stream", slides, "--model", pins_run, "--lines", tmp_path / "lines", "--no-images"
-    )
-    assert answer.code == 0, answer.err
-    lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
-    assert (
-        len(lines) == 40
-        and {*TARGETS, *(f"error_{t}" for t in TARGETS), "confidence"} <= lines[0].keys()
-    )
-    assert "mean error against the labels: y_mm" in answer.err
+def test_poses_have_the_labels_names_and_their_errors_are_printed(posed):
+    rows, said, measured = posed
+    assert len(rows) == 40
+    off = [
+        abs(float(row["unsheared_y_mm"]) - float(row["recorded_pose_y_mm"]))
+        for row in rows.values()
+    ]
+    assert measured["pose_mae.unsheared.y_mm"] == pytest.approx(np.mean(off), abs=2e-3)
+    assert all(row.keys() >= {f"unsheared_{target}" for target in TARGETS} for row in rows.values())
+    assert "mean error against the labels, unsheared" in said
+    assert "learnt from recordings of one sensor of 127 pins" in said
 
 
 def test_lines_that_find_no_room_end_a_stream_in_one_line(
@@ -343,23 +334,21 @@ def test_what_walks_in_the_simulator_is_refused_by_name(command, pins_run):
 
 
 def test_weights_are_released_and_used_without_the_recordings(
-    command, pins_run, recording, slides, tmp_path
+    command, pins_run, recording, slides, posed, tmp_path
 ):
     answer = command("release", pins_run, "--out", tmp_path / "ours")
     assert answer.code == 0, answer.err
     card = (tmp_path / "ours" / "README.md").read_text()
     assert "127 pins" in card and str(recording) not in card
     assert str(recording) not in (tmp_path / "ours" / "experiment.json").read_text()
-    both = [
-        command("pose", slides, "--model", model).out for model in (pins_run, tmp_path / "ours")
-    ]
+    released = read_csv(command("pose", slides, "--model", tmp_path / "ours").out)
     first, second = (
-        np.array([float(row["unsheared_y_mm"]) for row in csv.DictReader(out.splitlines())])
-        for out in both
+        [float(row["unsheared_y_mm"]) for row in rows.values()] for rows in (posed[0], released)
     )
     np.testing.assert_allclose(first, second, atol=0.05)  # kernels are stored as float16
 
 
+@pytest.mark.long
 def test_a_direct_posenet_that_convolves_serves_at_every_door(
     command, recording, slides, place, tmp_path
 ):
@@ -401,14 +390,8 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     folders = ("--taps", recording / "tap", "--slides", recording / "shear")
     places = ("--out", tmp_path / "runs", "--data", place / "datasets")
     few = ("--paired.labelled", "0.4", "--paired.unlabelled", "read", "--pins.turned", "0.5")
-    short = (
-        *SHORT[:2],
-        "--train_pins.epochs",
-        "8",
-        *SHORT[4:],
-        "--networks",
-        "disentangled,posenet",
-    )
+    epochs, networks = ("--train_pins.epochs", "8"), ("--networks", "disentangled,posenet")
+    short = (*SHORT[:2], *epochs, *SHORT[4:], *networks)
     answer = command(
         "fit", *folders, *places, "--name", "ours", *short, *few, "--paired.pairing", "nearest"
     )
@@ -450,48 +433,12 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
 
 @pytest.mark.long
 def test_images_take_the_same_road(command, recording, place, tmp_path):
-    small = (
-        *(
-            "--paired.preprocess.size",
-            "32",
-            "--unshear.size",
-            "32",
-            "--posenet.size",
-            "32",
-            "--unshear.widths",
-            "4,4",
-        ),
-        *(
-            "--posenet.widths",
-            "4,4,4,4,4",
-            "--posenet.hidden",
-            "8",
-            "--train.epochs",
-            "0.2",
-            "--train_posenet.epochs",
-            "0.5",
-        ),
-        *(
-            "--unshear.pose_channels",
-            "4",
-            "--unshear.shear_channels",
-            "4",
-            "--train_pins.epochs",
-            "1",
-        ),
-    )
-    words = (
-        "run",
-        EXPERIMENT,
-        "--recordings",
-        recording,
-        "--name",
-        "images",
-        "--out",
-        tmp_path / "runs",
-        "--data",
-        place / "datasets",
-    )
+    small = [f"--{name}.size=32" for name in ("paired.preprocess", "unshear", "posenet")]
+    small += ["--unshear.widths=4,4", "--unshear.pose_channels=4", "--unshear.shear_channels=4"]
+    small += ["--posenet.widths=4,4,4,4,4", "--posenet.hidden=8", "--train.epochs=0.2"]
+    small += ["--train_posenet.epochs=0.5", "--train_pins.epochs=1"]
+    places = ("--out", tmp_path / "runs", "--data", place / "datasets")
+    words = ("run", EXPERIMENT, "--recordings", recording, "--name", "images", *places)
     answer = command(*words, *small)
     assert answer.code == 0, answer.err
     results = json.loads((tmp_path / "runs" / "images" / "results.json").read_text())
@@ -510,18 +457,8 @@ def test_images_take_the_same_road(command, recording, place, tmp_path):
 @pytest.mark.parametrize(("slid", "network"), [(False, "posenet"), (True, "posenet_sheared")])
 def test_taps_alone_or_slides_alone_teach_what_they_can(command, place, tmp_path, slid, network):
     folder = made.write(tmp_path / "surface", *made.contacts(60, slid, 4), "newer")
-    words = (
-        "run",
-        EXPERIMENT,
-        "--recordings",
-        folder,
-        "--name",
-        network,
-        "--out",
-        tmp_path / "runs",
-        "--data",
-        tmp_path / "d",
-    )
+    places = ("--out", tmp_path / "runs", "--data", tmp_path / "d")
+    words = ("run", EXPERIMENT, "--recordings", folder, "--name", network, *places)
     short = (*SHORT[:2], "--train_pins.epochs", "2", *SHORT[4:], "--targets", "y_mm,Rz_deg")
     answer = command(*words, *short)
     assert answer.code == 0, answer.err
