@@ -179,19 +179,12 @@ def test_geometry_scores_and_draws(command, brief, tmp_path, model):
         for k in ("tap", "sheared", "disentangled", "untouched")
         for w in HEIGHT_METHODS
     }
-    assert (
-        rows["all/tap/areas"]["contacts"] == 15
-        and rows["all/disentangled/inverse"]["unmatched"] == 15
-    )
-    assert (
-        rows["all/tap/areas"]["correlation"] > 0.3
-        and "correlation" not in rows["all/disentangled/inverse"]
-    )
+    assert rows["all/tap/areas"]["contacts"] == 15 and rows["all/tap/areas"]["correlation"] > 0.3
+    unmatched = rows["all/disentangled/inverse"]
+    assert unmatched["unmatched"] == 15 and "correlation" not in unmatched
     assert rows["all/tap/inverse"]["correlation"] > 0.9
-    assert (
-        rows["all/untouched/inverse"]["largest_mm"] == 0
-        and rows["all/untouched/areas"]["largest_mm"] > 0
-    )
+    assert rows["all/untouched/inverse"]["largest_mm"] == 0
+    assert rows["all/untouched/areas"]["largest_mm"] > 0
     assert (tmp_path / "out" / "geometry.png").is_file()
 
 
@@ -206,11 +199,9 @@ def test_images_too_small_to_show_pins_are_refused(command, brief, tmp_path):
 def test_stream_of_a_folder(command, tmp_path, model):
     folder = tmp_path / "images"
     folder.mkdir()
-    rng = np.random.default_rng(0)
-    for number in range(3):
-        Image.fromarray(((rng.random((64, 64)) < 0.2) * 255).astype(np.uint8)).save(
-            folder / f"{number}.png"
-        )
+    dots = (np.random.default_rng(0).random((3, 64, 64)) < 0.2).astype(np.uint8) * 255
+    for number, picture in enumerate(dots):
+        Image.fromarray(picture).save(folder / f"{number}.png")
     (folder / "3.png").write_bytes(b"torn")
     summary = tmp_path / "summary.json"
     words = ("stream", folder, "--model", model, "--no-images", "--json", summary)

@@ -118,14 +118,7 @@ def test_a_loss_that_no_file_has_registered_is_refused(experiment_file):
 
 def test_a_loss_of_images_is_refused_over_pins(experiment_file):
     experiment = load_experiment(experiment_file(LOSS))
-    words = [
-        "--unshear.input",
-        "pins",
-        "--train_pins.batch",
-        "8",
-        "--train_pins.losses.smooth",
-        "1",
-    ]
+    words = ["--unshear.input=pins", "--train_pins.batch=8", "--train_pins.losses.smooth=1"]
     over_pins = override_fields(replace(experiment, networks=("disentangled",)), words)
     with pytest.raises(UserError, match="is for networks over images"):
         validate(over_pins)
@@ -254,10 +247,6 @@ def test_networks_learn_from_a_data_source_of_an_experiment_file(experiment_file
         batch = next(examples.reader.train_batches(6, 0, 0.015, fields)(0))
         assert images <= batch.keys() and len(examples.targets) == 6
         assert all(batch[name].shape == (6, 128, 128, 1) for name in images)
+    over_pins = override_fields(experiment, ["--unshear.input", "pins"])
     with pytest.raises(UserError, match="has images alone"):
-        open_examples(
-            override_fields(experiment, ["--unshear.input", "pins"]),
-            "disentangled",
-            tmp_path,
-            tmp_path,
-        )
+        open_examples(over_pins, "disentangled", tmp_path, tmp_path)
