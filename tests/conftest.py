@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 # Many tests, their workers and the processes they start compile the same programs: once is enough.
 # A program is found again if XLA's flags are the same. They compute little, so it need not be
@@ -29,6 +30,10 @@ if version("jaxlib").startswith("0.10."):
     FLAGS += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", FLAGS)
 os.environ.setdefault("MPLBACKEND", "Agg")
+# Threads of BLAS on cores that others use wait for each other: kernel ridge regression then takes
+# ten times as long. The second line is for numpy, which pytest has loaded.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+threadpool_limits(1, "blas")
 # JAX keeps much of what it compiled; to search it for what nobody needs took 7 % of the time.
 gc.set_threshold(50_000, 20, 100)
 
