@@ -206,13 +206,8 @@ def test_a_network_is_taught_by_a_posenet_and_reported_poses(finished, command, 
 
 def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
     """With so small a learning rate it stays there: equal but for the statistics' last digits."""
-    words = [
-        *folders(finished, tmp_path),
-        "--networks",
-        "disentangled,posenet",
-        "--train.epochs",
-        1,
-    ]
+    words = [*folders(finished, tmp_path), "--networks", "disentangled,posenet"]
+    words += ["--train.epochs", 1]
     begin = ["--train.start", finished / "runs" / "tiny", "--train.learning_rate", 1e-9]
     done = command("train", TINY, *words, *begin, "--network", "disentangled")
     assert done.code == 0, done.err
