@@ -53,10 +53,8 @@ def test_sign_and_offset_are_found_in_taps(sign):
     assert choose_scored_labels(readings, labels) == ("y_mm", "z_mm", "Rz_deg")
     found = {name: align_to_labels(name, readings, labels) for name in ("y_mm", "z_mm", "Rz_deg")}
     assert (found["y_mm"].sign, found["Rz_deg"].sign, found["z_mm"].sign) == (sign, sign, 1)
-    assert found["y_mm"].offset == pytest.approx(1.4, abs=0.03) and found[
-        "z_mm"
-    ].offset == pytest.approx(2, abs=0.03)
-    assert found["Rz_deg"].offset == pytest.approx(170, abs=0.5)
+    for name, offset, within in (("y_mm", 1.4, 0.03), ("z_mm", 2, 0.03), ("Rz_deg", 170, 0.5)):
+        assert found[name].offset == pytest.approx(offset, abs=within)
 
 
 def test_labels_of_no_edge_and_images_of_no_sensor_are_refused():
@@ -74,17 +72,15 @@ def test_labels_of_no_edge_and_images_of_no_sensor_are_refused():
 def test_a_turned_and_smaller_lattice_moves_as_the_known_one(degrees):
     known = 64 + 6 * compute_pin_lattice(TACTIP_127) / TACTIP_127.pin_spacing_mm
     angle = np.radians(degrees)
-    turn = np.array(
-        [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-    )  # rows turn by +degrees
+    # rows turn by +degrees
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     here = 50 + 0.8 * (known - 64) @ turn
     motion = RNG.normal(size=(2, *known.shape))
     there, back, by = make_frame_transforms(here, known)
     np.testing.assert_allclose(there(here + 0.8 * motion @ turn), known + motion, atol=1e-9)
     np.testing.assert_allclose(back(known + motion), here + 0.8 * motion @ turn, atol=1e-9)
-    assert by == pytest.approx(
-        degrees, abs=1e-9
-    )  # an edge that a network sees at 0 lies at `degrees` in the image
+    # an edge that a network sees at 0 lies at `degrees` in the image
+    assert by == pytest.approx(degrees, abs=1e-9)
 
 
 def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
@@ -150,11 +146,8 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     assert max(reader["unsheared"][name] for name in ("z_mm", "Rz_deg")) < 0.5
     assert "reader pins" in format_table(results)
     counts = results.counts
-    assert (
-        counts.known_taps + counts.test_taps == 60
-        and counts.test_poses == 40
-        and counts.test_unsure == 0
-    )
+    assert counts.known_taps + counts.test_taps == 60
+    assert (counts.test_poses, counts.test_unsure) == (40, 0)
     json.dumps(to_builtins(results))
 
 
@@ -241,21 +234,18 @@ def test_weights_of_simulated_pins_give_no_pose_where_pins_are_not_identified(
         folder = made.write(tmp_path / f"hidden{count}", *made.contacts(30, True, 0))
         made.hide_pins(folder, list(range(1, count + 1)))
         answer = command("unshear", folder, *words, "--out", tmp_path / f"out{count}")
-        assert (
-            answer.code == code and f"{30 - count} images unsheared, {count} left out" in answer.out
-        ), answer.err
+        assert answer.code == code, answer.err
+        assert f"{30 - count} images unsheared, {count} left out" in answer.out
         assert len(list((tmp_path / f"out{count}").rglob("*.png"))) == 30 - count
         answer = command("pose", folder, *words)
         assert answer.code == code and f"{count} left out" in answer.err
         rows = list(csv.DictReader(answer.out.splitlines()))
-        assert [row["unsheared_edge_mm"] == "" for row in rows] == [True] * count + [False] * (
-            30 - count
-        )
+        left_out = [True] * count + [False] * (30 - count)
+        assert [row["unsheared_edge_mm"] == "" for row in rows] == left_out
         answer = command("stream", folder, *words, "--no-images")
         assert answer.code == code and f"{30 - count} frames used, {count} skipped" in answer.err
-        assert ["edge_mm" in json.loads(line) for line in answer.out.splitlines()] == [
-            False
-        ] * count + [True] * (30 - count)
+        lines = map(json.loads, answer.out.splitlines())
+        assert ["edge_mm" not in line for line in lines] == left_out
 
 
 def test_images_of_other_things_have_no_pose_in_python_unless_forced(weights, tmp_path):

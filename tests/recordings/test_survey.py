@@ -54,14 +54,8 @@ def test_a_tap_and_the_slides_of_its_pose_share_their_split(tmp_path):
     pose, move = made.contacts(60, True, 3)
     made.write(tmp_path / "tap", pose, 0 * move)
     made.write(tmp_path / "slide", np.repeat(pose, 2, 0), np.concatenate([move, -move]))
-    contacts = read_contacts(
-        Recorded(
-            tap_folder=str(tmp_path / "tap"),
-            slide_folder=str(tmp_path / "slide"),
-            test=0.2,
-            validation=0.2,
-        )
-    )
+    folders = (str(tmp_path / name) for name in ("tap", "slide"))
+    contacts = read_contacts(Recorded(*folders, test=0.2, validation=0.2))
     of_pose = {}
     for own, split in zip(contacts.pose.tolist(), contacts.split.tolist(), strict=True):
         of_pose.setdefault(tuple(own), set()).add(split)
@@ -78,16 +72,12 @@ def test_no_pose_is_in_two_splits_and_larger_shares_hold_the_smaller(recording, 
 
 
 def test_folders_name_splits(tmp_path):
-    for i, name in enumerate(("csv_train", "csv_val", "csv_test")):
+    splits = {"csv_train": "train", "csv_val": "validation", "csv_test": "test"}
+    for i, name in enumerate(splits):
         made.write(tmp_path / "tap" / name, *made.contacts(12, False, i))
     contacts = read_contacts(Recorded(tap_folder=str(tmp_path)))
     for name, split in by_name(contacts).items():
-        assert (
-            SPLITS[split]
-            == {"csv_train": "train", "csv_val": "validation", "csv_test": "test"}[
-                name.split("/")[1]
-            ]
-        )
+        assert SPLITS[split] == splits[name.split("/")[1]]
 
 
 def test_what_folders_leave_open_is_drawn_from_the_training_folder(tmp_path):
@@ -95,10 +85,8 @@ def test_what_folders_leave_open_is_drawn_from_the_training_folder(tmp_path):
         made.write(tmp_path / name, *made.contacts(40, True, i), "newer")
     splits = by_name(read_contacts(Recorded(slide_folder=str(tmp_path), validation=0.2)))
     assert {SPLITS[s] for n, s in splits.items() if n.startswith("test")} == {"test"}
-    assert {SPLITS[s] for n, s in splits.items() if n.startswith("train")} == {
-        "train",
-        "validation",
-    }
+    drawn = {SPLITS[s] for n, s in splits.items() if n.startswith("train")}
+    assert drawn == {"train", "validation"}
 
 
 BEFORE_SPLIT = (  # by a version without `paired.split`: 60 taps, then 60 slides
@@ -200,14 +188,9 @@ def test_pairs_by_a_table(tmp_path):
     lines = [(f"image_{i + 1}.png", f"image_{40 - i}.png") for i in range(40)]
     with open(table, "w", newline="") as file:
         csv.writer(file).writerows([("slide", "tap"), *lines])
-    settings = Recorded(
-        str(tmp_path / "tap"),
-        str(tmp_path / "slide"),
-        pairs=str(table),
-        pairing="file",
-        test=0.2,
-        validation=0.2,
-    )
+    folders = (str(tmp_path / "tap"), str(tmp_path / "slide"))
+    shares = {"test": 0.2, "validation": 0.2}
+    settings = Recorded(*folders, pairs=str(table), pairing="file", **shares)
     contacts = read_contacts(settings)
     taps, slides = (
         contacts.take(np.flatnonzero(contacts.is_slide == slid)) for slid in (False, True)
@@ -237,8 +220,5 @@ def test_a_folder_is_known_beside_others(tmp_path):
     )
     table = tmp_path / "pairs.csv"
     table.write_text("slide,tap\n")
-    both = compute_digest((taps, slides), str(table))
-    assert (
-        parse_folder_digests(both) == {compute_digest((taps,)), compute_digest((slides,))}
-        and len(parse_folder_digests(both)) == 2
-    )
+    found = parse_folder_digests(compute_digest((taps, slides), str(table)))
+    assert found == {compute_digest((taps,)), compute_digest((slides,))} and len(found) == 2
