@@ -119,9 +119,8 @@ def test_leakage_of_networks_over_images(finished, command):
     answer = command("ablate", run, "--leakage", *places)
     assert answer.code == 0, answer.err
     found = json.loads((run / "leakage.json").read_text())
-    assert (
-        found == json.loads((finished / "leakage.json").read_text()) and found["exchanged"] is None
-    )
+    assert found == json.loads((finished / "leakage.json").read_text())
+    assert found["exchanged"] is None
     assert len(found["rows"]) == 16 and found["slides"] == {"learnt": 36, "tested": 12}
     assert (run / "leakage.png").stat().st_size > 10_000 and "slide from z_p" in answer.out
 
@@ -153,11 +152,8 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(
     write_json(file, model | {"origin": model["origin"] | {"version": "2.4.0"}})
     words = [out / "tiny"] if stage == "ablate" else [TINY, "--out", out]
     answer = command(stage, *words, "--data", finished / "datasets")
-    assert (
-        answer.code == 2
-        and "learnt from a data set with another version" in answer.err
-        and answer.err.count("\n") == 1
-    )
+    assert answer.code == 2 and answer.err.count("\n") == 1
+    assert "learnt from a data set with another version" in answer.err
     assert not any((out / "tiny" / name).exists() for name in ("results.json", "ablation.json"))
 
 
@@ -171,37 +167,26 @@ def test_a_network_is_taught_by_a_posenet_and_reported_poses(finished, command, 
     folder = tmp_path / "tiny"
     logged = json.loads((folder / "disentangled" / "log.jsonl").read_text().splitlines()[-1])
     assert logged["train"]["pose_label"] > 0 and logged["validation"]["pose_label"] > 0
-    teacher, other = (
-        json.loads((folder / name / "model.json").read_text())
-        for name in ("posenet_teacher", "posenet")
-    )
+    teacher = json.loads((folder / "posenet_teacher" / "model.json").read_text())
+    other = json.loads((folder / "posenet" / "model.json").read_text())
     assert teacher["seed"] != other["seed"] and teacher["net"] == other["net"]
     found = json.loads((folder / "results.json").read_text())
-    assert "disentangled" in found["pose_mae"]
-    assert "disentangled" in found["ms_ssim"] and "posenet_teacher" not in json.dumps(
-        found["ms_per_image"]
-    )
-    plain = json.loads(
-        (finished / "runs" / "tiny" / "disentangled" / "log.jsonl").read_text().splitlines()[-1]
-    )
-    assert "pose" not in plain["train"]
+    assert "disentangled" in found["pose_mae"] and "disentangled" in found["ms_ssim"]
+    assert "posenet_teacher" not in json.dumps(found["ms_per_image"])
+    plain = (finished / "runs" / "tiny" / "disentangled" / "log.jsonl").read_text()
+    assert "pose_label" not in json.loads(plain.splitlines()[-1])["train"]
 
     assert command("release", folder, "--out", tmp_path / "weights").code == 0
     with np.load(tmp_path / "weights" / "disentangled" / "weights.npz") as file:
-        assert {name.split(".")[1] for name in file if name.startswith("params.")} == {
-            "E",
-            "pose",
-            "DC",
-        }
+        parts = {name.split(".")[1] for name in file if name.startswith("params.")}
+    assert parts == {"E", "pose", "DC"}
 
     shutil.rmtree(folder / "disentangled")
     teacher["origin"]["version"] = "2.3.0"
     write_json(folder / "posenet_teacher" / "model.json", teacher)
     refused = command("train", *words, "--network", "disentangled")
-    assert (
-        refused.code == 2
-        and "posenet_teacher learnt from a data set with another version" in refused.err
-    )
+    assert refused.code == 2
+    assert "posenet_teacher learnt from a data set with another version" in refused.err
 
 
 def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
@@ -211,14 +196,11 @@ def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
     begin = ["--train.start", finished / "runs" / "tiny", "--train.learning_rate", 1e-9]
     done = command("train", TINY, *words, *begin, "--network", "disentangled")
     assert done.code == 0, done.err
-    before, after = (
-        load_best(folder / "tiny" / "disentangled")["params"]
-        for folder in (finished / "runs", tmp_path)
-    )
+    source = finished / "runs" / "tiny" / "disentangled"
+    before = load_best(source)["params"]
+    after = load_best(tmp_path / "tiny" / source.name)["params"]
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), before, after)
-    older = shutil.copytree(
-        finished / "runs" / "tiny" / "disentangled", tmp_path / "older" / "disentangled"
-    )
+    older = shutil.copytree(source, tmp_path / "older" / source.name)
     model = json.loads((older / "model.json").read_text())
     del model["data"]
     write_json(older / "model.json", model)
@@ -226,32 +208,26 @@ def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
     assert leaks.code == 2 and f"{older} learnt from unknown data" in leaks.err
     assert leaks.err.count("\n") == 1 and not (tmp_path / "leak").exists()
     unknown = command("run", TINY, *words[:4], "--name", "other", "--train.start", "nowhere")
-    assert (
-        unknown.code == 2
-        and "start: nowhere holds no" in unknown.err
-        and not (tmp_path / "other").exists()
-    )
-    refused = command(
-        "run", TINY, *words, "--train.losses.pose_tap", 0.1, "--train_teacher.start", "standard"
-    )
+    assert unknown.code == 2 and "start: nowhere holds no" in unknown.err
+    assert not (tmp_path / "other").exists()
+    teacher = ("--train.losses.pose_tap", 0.1, "--train_teacher.start", "standard")
+    refused = command("run", TINY, *words, *teacher)
     assert refused.code == 2 and "--train_teacher.start" in refused.err
 
 
 def test_the_networks_take_images_of_people(finished, command, tmp_path):
     """Grey, colour and sixteen bits give images of the network's size, and a table of poses."""
     rows, columns = np.mgrid[:300, :300]
-    grey = (
-        ((rows // 9 + columns // 9) % 2) * 180 * (np.hypot(rows - 150, columns - 150) < 120)
-    ).astype(np.uint8)
+    inside = np.hypot(rows - 150, columns - 150) < 120
+    grey = (((rows // 9 + columns // 9) % 2) * 180 * inside).astype(np.uint8)
     recordings = tmp_path / "recordings"
     recordings.mkdir()
     Image.fromarray(grey).save(recordings / "a.png")
     Image.fromarray(np.stack([grey] * 3, -1)).save(recordings / "b.png")
     Image.fromarray(grey.astype(np.uint16) * 257).save(recordings / "c.png")
     out = tmp_path / "out"
-    answer = command(
-        "unshear", recordings, "--force", "--model", finished / "runs" / "tiny", "--out", out
-    )
+    words = ("--force", "--model", finished / "runs" / "tiny", "--out", out)
+    answer = command("unshear", recordings, *words)
     assert answer.code == 0, answer.err
     assert "simulat" in answer.out and "simulat" in (out / "NOTE.txt").read_text()
     assert len((out / "poses.csv").read_text().splitlines()) == 4
@@ -382,10 +358,9 @@ def test_killed_ten_times_ends_with_the_same_numbers(finished, tmp_path):
 def test_a_refusal_before_any_work_binds_nobody(tmp_path):
     """What was asked for, and the lock, are all that it leaves: another seed may follow."""
     for seed in (0, 7):
+        asked = replace(SMALL, seed=seed)
         with pytest.raises(UserError, match="no data set"):
-            run.run_stages(
-                replace(SMALL, seed=seed), ("posenet",), tmp_path, tmp_path / "nowhere", "none"
-            )
+            run.run_stages(asked, ("posenet",), tmp_path, tmp_path / "nowhere", "none")
         left = sorted(path.name for path in (tmp_path / SMALL.name).iterdir())
         assert left == ["experiment.json", "run.lock"]
 
@@ -400,10 +375,9 @@ def test_data_that_another_process_makes_bind_nobody(tmp_path):
     fcntl.flock(other, fcntl.LOCK_EX)  # as that process would
     try:
         for seed in (0, 7):
+            asked = replace(SMALL, seed=seed)
             with pytest.raises(UserError, match="another process"):
-                run.run_stages(
-                    replace(SMALL, seed=seed), ("data",), tmp_path, tmp_path, "none", idle
-                )
+                run.run_stages(asked, ("data",), tmp_path, tmp_path, "none", idle)
     finally:
         os.close(other)
 
