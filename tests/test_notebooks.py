@@ -15,12 +15,8 @@ def results(notebook: nbformat.NotebookNode) -> list[bool]:
     return [any(each.get("name") != "stderr" for each in some) for some in outputs]
 
 
-# its gradients, which no command takes, compile for long
-LONG = {"identify"}
-PARAMETERS = [
-    pytest.param(path, marks=[pytest.mark.long] if path.stem in LONG else [], id=path.stem)
-    for path in NOTEBOOKS
-]
+LONG = {"identify": pytest.mark.long}  # no command takes its gradients, which compile for long
+PARAMETERS = [pytest.param(path, marks=LONG.get(path.stem, ()), id=path.stem) for path in NOTEBOOKS]
 
 
 @pytest.mark.parametrize("path", PARAMETERS)
