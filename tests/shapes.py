@@ -6,13 +6,16 @@ mypy checks all other types. What a function refuses by an error of its own is l
 """
 
 from collections.abc import Callable
+from functools import partial
+from inspect import isfunction
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
 
+import jaxtyping
 import numpy as np
 from beartype import beartype
 from jax import Array
-from jaxtyping import AbstractArray, install_import_hook
+from jaxtyping import AbstractArray, install_import_hook, jaxtyped
 
 CHECKED = ("metrics", "simulator", "models")
 # without what follows pins: checks would take a third of its time
@@ -30,6 +33,16 @@ MODULES += ["verification.hyperelastic", "verification.large_strain"]
 def check_all() -> None:
     """Before any of them is imported. Processes that a test starts run without."""
     install_import_hook(MODULES, f"{__name__}.checked")
+    jaxtyping.jaxtyped = check_arrays  # which the hook writes above every function
+
+
+def check_arrays(target: Any = None, **settings: Any) -> Any:
+    """Check functions that have arrays, as jaxtyping does; leave others, whose calls it slows."""
+    if target is None:
+        return partial(check_arrays, **settings)
+    if isfunction(target) and not any(map(_of_arrays, target.__annotations__.values())):
+        return target
+    return jaxtyped(target, **settings)
 
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:

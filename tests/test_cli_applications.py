@@ -163,14 +163,19 @@ def test_nothing_is_written_among_the_recordings(command, tmp_path, monkeypatch,
 def test_geometry_scores_and_draws(command, brief, tmp_path, model):
     answer = command("geometry", "--model", model, "--contacts", 6, "--out", tmp_path / "out")
     assert answer.code == 0, answer.err
-    held = json.loads((tmp_path / "out" / "geometry.json").read_text())
-    rows = {row["name"]: row for row in held["rows"]}
-    shapes = ("all", "disk", "clover", "teardrop")
-    kinds = ("tap", "sheared", "disentangled", "untouched")
-    assert set(rows) == set(map("/".join, itertools.product(shapes, kinds, HEIGHT_METHODS)))
-    areas, inverse = rows["all/tap/areas"], rows["all/disentangled/inverse"]
-    assert areas["contacts"] == 15 and inverse["unmatched"] == 15
-    assert areas["correlation"] > 0.3 and "correlation" not in inverse
+    rows = {
+        row["name"]: row
+        for row in json.loads((tmp_path / "out" / "geometry.json").read_text())["rows"]
+    }
+    assert set(rows) == {
+        f"{s}/{k}/{w}"
+        for s in ("all", "disk", "clover", "teardrop")
+        for k in ("tap", "sheared", "disentangled", "untouched")
+        for w in HEIGHT_METHODS
+    }
+    assert rows["all/tap/areas"]["contacts"] == 15 and rows["all/tap/areas"]["correlation"] > 0.3
+    unmatched = rows["all/disentangled/inverse"]
+    assert unmatched["unmatched"] == 15 and "correlation" not in unmatched
     assert rows["all/tap/inverse"]["correlation"] > 0.9
     assert rows["all/untouched/inverse"]["largest_mm"] == 0
     assert rows["all/untouched/areas"]["largest_mm"] > 0
@@ -188,10 +193,9 @@ def test_images_too_small_to_show_pins_are_refused(command, brief, tmp_path):
 def test_stream_of_a_folder(command, tmp_path, model):
     folder = tmp_path / "images"
     folder.mkdir()
-    rng = np.random.default_rng(0)
-    for number in range(3):
-        dots = ((rng.random((64, 64)) < 0.2) * 255).astype(np.uint8)
-        Image.fromarray(dots).save(folder / f"{number}.png")
+    dots = (np.random.default_rng(0).random((3, 64, 64)) < 0.2).astype(np.uint8) * 255
+    for number, picture in enumerate(dots):
+        Image.fromarray(picture).save(folder / f"{number}.png")
     (folder / "3.png").write_bytes(b"torn")
     summary = tmp_path / "summary.json"
     words = ("stream", folder, "--model", model, "--no-images", "--json", summary)

@@ -29,8 +29,9 @@ def calls(monkeypatch):
 
 
 def test_options_and_fields_arrive(calls, command, tmp_path):
-    words = ["--seeds", "3,4", "--retry-failed", "--train.epochs", "2", "--data=sets", "--out"]
-    answer = command("sweep", LAMBDA, *words, tmp_path, "--json", tmp_path / "found.json")
+    words = ["--seeds", "3,4", "--retry-failed", "--train.epochs", "2", "--data=sets"]
+    places = ["--out", tmp_path, "--json", tmp_path / "found.json"]
+    answer = command("sweep", LAMBDA, *words, *places)
     assert (answer.code, answer.err) == (0, "")
     assert answer.out.splitlines()[-1] == str(tmp_path / "lambda_split" / "sweep.json")
     ((sweep, out, data, typed, engine, retry),) = calls

@@ -140,61 +140,29 @@ def test_paper_is_appendix_b():
         (paper.train_posenet, 256, 250, ((100, 0.5), (200, 0.1))),
     ):
         assert (training.learning_rate, training.beta1, training.beta2) == (1e-4, 0.5, 0.999)
-        assert (training.batch, training.epochs, training.schedule, training.drops) == (
-            batch,
-            epochs,
-            "steps",
-            drops,
-        )
-        assert (training.l1, training.l2, training.kernels, training.averaging) == (
-            1e-3,
-            1e-3,
-            "mean",
-            0.0,
-        )
+        assert (training.batch, training.epochs) == (batch, epochs)
+        assert (training.schedule, training.drops) == ("steps", drops)
+        assert (training.l1, training.l2, training.kernels) == (1e-3, 1e-3, "mean")
+        assert training.averaging == 0
         assert 0.01 <= training.shift <= 0.02
     assert (paper.train.losses["patch"], paper.train.crops, paper.train.crop_px) == (0.1, 100, 20)
-    assert (
-        paper.paired.poses,
-        paper.paired.taps,
-        paper.paired.slides,
-        paper.paired.tap_depth_jitter_mm,
-    ) == (
-        200,
-        50,
-        150,
-        1.0,
-    )
+    assert (paper.paired.poses, paper.paired.taps, paper.paired.slides) == (200, 50, 150)
+    assert paper.paired.tap_depth_jitter_mm == 1
     assert paper.pose.poses * len(paper.pose.stimuli) == 30_000
-    assert (
-        paper.paired.preprocess.size
-        == paper.pose.preprocess.size
-        == paper.unshear.size
-        == paper.posenet.size
-        == 256
-    )
+    users = (paper.paired.preprocess, paper.pose.preprocess, paper.unshear, paper.posenet)
+    assert [user.size for user in users] == [256] * 4
     assert len(paper.unshear.widths) == 5
-    assert (
-        paper.unshear.size // 2**5,
-        paper.unshear.pose_channels,
-        paper.unshear.shear_channels,
-    ) == (8, 64, 64)
+    assert (paper.unshear.pose_channels, paper.unshear.shear_channels) == (64, 64)
 
 
 def test_a_tenth_of_the_paper_is_the_paper_but_for_the_amount():
     paper, tenth = (load_experiment(FOLDER / f"{name}.py") for name in ("paper", "paper_tenth"))
-    assert (tenth.unshear, tenth.posenet, tenth.train_posenet) == (
-        paper.unshear,
-        paper.posenet,
-        paper.train_posenet,
-    )
+    for name in ("unshear", "posenet", "train_posenet"):
+        assert getattr(tenth, name) == getattr(paper, name)
     amounts = {name: getattr(paper.train, name) for name in ("validate_every", "validation_images")}
     assert replace(tenth.train, **amounts) == paper.train
-    for of_tenth, of_paper in (
-        (tenth.paired.taps, paper.paired.taps),
-        (tenth.paired.slides, paper.paired.slides),
-    ):
-        assert of_paper == 10 * of_tenth
+    assert paper.paired.taps == 10 * tenth.paired.taps
+    assert paper.paired.slides == 10 * tenth.paired.slides
     assert 10 * tenth.pose.poses == paper.pose.poses and tenth.paired.poses == paper.paired.poses
     assert tenth.paired.tap_depth_jitter_mm == paper.paired.tap_depth_jitter_mm
 

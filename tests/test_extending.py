@@ -88,16 +88,13 @@ def test_a_loss_of_an_experiment_file_is_a_term_of_the_training(experiment_file)
     assert terms["smooth"].shape == (4,) and np.all(np.asarray(terms["smooth"]) > 0)
     assert task.weights["smooth"] == 0.1
 
-    def slope(name):
-        def total(params):
-            terms, _ = task.terms(
-                variables | {"params": params}, small.pair(3, 4), jax.random.key(1)
-            )
-            return terms[name].sum()
+    def add_up(params):
+        pair = small.pair(3, 4)
+        terms, _ = task.terms(variables | {"params": params}, pair, jax.random.key(1))
+        return [terms[name].sum() for name in ("smooth", "supervised")]
 
-        return list_taught_parts(jax.jit(jax.grad(total))(variables["params"]))
-
-    assert slope("smooth") == slope("supervised")
+    smooth, supervised = jax.jit(jax.jacrev(add_up))(variables["params"])
+    assert list_taught_parts(smooth) == list_taught_parts(supervised)
     assert "smooth" in task.validate(variables, small.pair(3, 4))
 
 
@@ -118,14 +115,7 @@ def test_a_loss_that_no_file_has_registered_is_refused(experiment_file):
 
 def test_a_loss_of_images_is_refused_over_pins(experiment_file):
     experiment = load_experiment(experiment_file(LOSS))
-    words = [
-        "--unshear.input",
-        "pins",
-        "--train_pins.batch",
-        "8",
-        "--train_pins.losses.smooth",
-        "1",
-    ]
+    words = ["--unshear.input=pins", "--train_pins.batch=8", "--train_pins.losses.smooth=1"]
     over_pins = override_fields(replace(experiment, networks=("disentangled",)), words)
     with pytest.raises(UserError, match="is for networks over images"):
         validate(over_pins)
@@ -254,10 +244,6 @@ def test_networks_learn_from_a_data_source_of_an_experiment_file(experiment_file
         batch = next(examples.reader.train_batches(6, 0, 0.015, fields)(0))
         assert images <= batch.keys() and len(examples.targets) == 6
         assert all(batch[name].shape == (6, 128, 128, 1) for name in images)
+    over_pins = override_fields(experiment, ["--unshear.input", "pins"])
     with pytest.raises(UserError, match="has images alone"):
-        open_examples(
-            override_fields(experiment, ["--unshear.input", "pins"]),
-            "disentangled",
-            tmp_path,
-            tmp_path,
-        )
+        open_examples(over_pins, "disentangled", tmp_path, tmp_path)

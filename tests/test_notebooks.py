@@ -15,7 +15,11 @@ def results(notebook: nbformat.NotebookNode) -> list[bool]:
     return [any(each.get("name") != "stderr" for each in some) for some in outputs]
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+LONG = {"identify": pytest.mark.long}  # no command takes its gradients, which compile for long
+PARAMETERS = [pytest.param(path, marks=LONG.get(path.stem, ()), id=path.stem) for path in NOTEBOOKS]
+
+
+@pytest.mark.parametrize("path", PARAMETERS)
 def test_a_notebook_runs(path, monkeypatch, tmp_path):
     monkeypatch.delenv("MPLBACKEND")  # figures are shown, here
     notebook = nbformat.read(path, as_version=4)

@@ -32,9 +32,8 @@ def place(tmp_path_factory):
 @pytest.fixture(scope="session")
 def pins_run(recording, place):
     """A finished run over pins."""
-    words = ("run", ROOT / "experiments/recorded.py", "--recordings", recording, *SHORT)
-    # enough contacts to find half-widths by
-    words += ("--name", "pins", "--paired.validation", "0.2")
-    words += ("--out", place / "runs", "--data", place / "datasets")
-    assert main([*map(str, words)]) == 0
+    words = ["run", ROOT / "experiments/recorded.py", "--recordings", recording, "--name", "pins"]
+    words += ["--paired.validation", "0.2"]  # enough contacts to find half-widths by
+    words += [*SHORT, "--out", place / "runs", "--data", place / "datasets"]
+    assert main([str(word) for word in words]) == 0
     return place / "runs" / "pins"

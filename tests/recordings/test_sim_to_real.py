@@ -56,9 +56,8 @@ def test_sign_and_offset_are_found_in_taps(sign):
     assert choose_scored_labels(readings, labels) == ("y_mm", "z_mm", "Rz_deg")
     found = {name: align_to_labels(name, readings, labels) for name in ("y_mm", "z_mm", "Rz_deg")}
     assert (found["y_mm"].sign, found["Rz_deg"].sign, found["z_mm"].sign) == (sign, sign, 1)
-    assert found["y_mm"].offset == pytest.approx(1.4, abs=0.03)
-    assert found["z_mm"].offset == pytest.approx(2, abs=0.03)
-    assert found["Rz_deg"].offset == pytest.approx(170, abs=0.5)
+    for name, offset, within in (("y_mm", 1.4, 0.03), ("z_mm", 2, 0.03), ("Rz_deg", 170, 0.5)):
+        assert found[name].offset == pytest.approx(offset, abs=within)
 
 
 def test_labels_of_no_edge_and_images_of_no_sensor_are_refused():
@@ -150,8 +149,7 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     assert "reader pins" in format_table(results)
     counts = results.counts
     assert counts.known_taps + counts.test_taps == 60
-    assert counts.test_poses == 40
-    assert counts.test_unsure == 0
+    assert (counts.test_poses, counts.test_unsure) == (40, 0)
     json.dumps(to_builtins(results))
 
 
@@ -239,12 +237,12 @@ def test_simulated_weights_give_no_pose_without_identities(command, weights, tmp
         answer = command("pose", folder, *words)
         assert answer.code == code and f"{count} left out" in answer.err
         rows = list(csv.DictReader(answer.out.splitlines()))
-        is_hidden = [True] * count + [False] * (30 - count)
-        assert [row["unsheared_edge_mm"] == "" for row in rows] == is_hidden
+        left_out = [True] * count + [False] * (30 - count)
+        assert [row["unsheared_edge_mm"] == "" for row in rows] == left_out
         answer = command("stream", folder, *words, "--no-images")
         assert answer.code == code and f"{30 - count} frames used, {count} skipped" in answer.err
         lines = map(json.loads, answer.out.splitlines())
-        assert ["edge_mm" not in line for line in lines] == is_hidden
+        assert ["edge_mm" not in line for line in lines] == left_out
 
 
 def test_images_of_other_things_have_no_pose_in_python_unless_forced(weights, tmp_path):

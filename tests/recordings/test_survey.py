@@ -50,7 +50,7 @@ def test_a_tap_and_the_slides_of_its_pose_share_their_split(tmp_path):
     pose, move = made.contacts(60, True, 3)
     made.write(tmp_path / "tap", pose, 0 * move)
     made.write(tmp_path / "slide", np.repeat(pose, 2, 0), np.concatenate([move, -move]))
-    folders = (str(tmp_path / "tap"), str(tmp_path / "slide"))
+    folders = (str(tmp_path / name) for name in ("tap", "slide"))
     contacts = read_contacts(Recorded(*folders, test=0.2, validation=0.2))
     of_pose = {}
     for own, split in zip(contacts.pose.tolist(), contacts.split.tolist(), strict=True):
@@ -68,12 +68,12 @@ def test_no_pose_is_in_two_splits_and_larger_shares_hold_the_smaller(recording, 
 
 
 def test_folders_name_splits(tmp_path):
-    for i, name in enumerate(("csv_train", "csv_val", "csv_test")):
+    splits = {"csv_train": "train", "csv_val": "validation", "csv_test": "test"}
+    for i, name in enumerate(splits):
         made.write(tmp_path / "tap" / name, *made.contacts(12, False, i))
     contacts = read_contacts(Recorded(tap_folder=str(tmp_path)))
     for name, split in by_name(contacts).items():
-        folder = name.split("/")[1]
-        assert folder == f"csv_{SPLITS[split]}".replace("validation", "val")
+        assert SPLITS[split] == splits[name.split("/")[1]]
 
 
 def test_what_folders_leave_open_is_drawn_from_the_training_folder(tmp_path):
@@ -81,8 +81,8 @@ def test_what_folders_leave_open_is_drawn_from_the_training_folder(tmp_path):
         made.write(tmp_path / name, *made.contacts(40, True, i), "newer")
     splits = by_name(read_contacts(Recorded(slide_folder=str(tmp_path), validation=0.2)))
     assert {SPLITS[s] for n, s in splits.items() if n.startswith("test")} == {"test"}
-    of_train = {SPLITS[s] for n, s in splits.items() if n.startswith("train")}
-    assert of_train == {"train", "validation"}
+    drawn = {SPLITS[s] for n, s in splits.items() if n.startswith("train")}
+    assert drawn == {"train", "validation"}
 
 
 BEFORE_SPLIT = (  # by a version without `paired.split`: 60 taps, then 60 slides
@@ -215,6 +215,5 @@ def test_a_folder_is_known_beside_others(tmp_path):
     )
     table = tmp_path / "pairs.csv"
     table.write_text("slide,tap\n")
-    both = compute_digest((taps, slides), str(table))
-    assert parse_folder_digests(both) == {compute_digest((taps,)), compute_digest((slides,))}
-    assert len(parse_folder_digests(both)) == 2
+    found = parse_folder_digests(compute_digest((taps, slides), str(table)))
+    assert found == {compute_digest((taps,)), compute_digest((slides,))} and len(found) == 2

@@ -9,6 +9,7 @@ from conftest import ROOT, SHORT
 
 PAGE = ROOT / "docs" / "your-own-recordings.md"
 TRAINS = ("run", "fit", "sweep")
+USES = ("doctor", "evaluate", "unshear", "pose", "stream", "release")
 
 
 def commands():
@@ -40,16 +41,6 @@ def test_every_command_of_the_page_works_in_its_order(command, laboratory, monke
         answer = command(*words)
         assert answer.code == 0, f"{line}: {answer.err}"
         done.append(words[0])
-    assert {
-        "doctor",
-        "run",
-        "fit",
-        "sweep",
-        "evaluate",
-        "unshear",
-        "pose",
-        "stream",
-        "release",
-    } <= set(done)
+    assert {*TRAINS, *USES} <= set(done)
     assert (laboratory / "runs" / "edge" / "report.html").exists()
     assert (laboratory / "edge_weights" / "README.md").exists()
