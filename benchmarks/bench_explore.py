@@ -12,7 +12,6 @@ from functools import partial
 
 import numpy as np
 
-from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.apps.explore.explorer import MOST_SLIDE_MM, Explorer, Touch, make_explorer
 from jaxunshear.config.data import Ranges
 from jaxunshear.environment import keep_freed_memory

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxunshear.config.configs import PAIRED, get_config_sensor
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Nuisance
+from jaxunshear.config.sensor import Nuisance
 from jaxunshear.data.simulation import simulate_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json

@@ -17,9 +17,8 @@ from matplotlib.figure import Figure
 
 from docs.keep import keep_picture, write_result
 from docs.provenance import RESULTS
-from jaxunshear.files import add_checksum
+from jaxunshear.files import add_checksum, to_builtins
 from jaxunshear.results.provenance import describe_provenance
-from jaxunshear.serialization import to_builtins
 from jaxunshear.style import DPI, LABEL, STYLE
 
 NETWORK, LOSS = "disentangled", "supervised"

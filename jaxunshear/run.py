@@ -18,9 +18,14 @@ from jaxunshear.config.serialization import add_version, from_json, to_json
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import hold_lock, read_object, write_json
+from jaxunshear.results.record_files import TIMES, read_times
 from jaxunshear.results.run import Results
-from jaxunshear.training.data_origin import check_origin
-from jaxunshear.training.initial_weights import InitialWeights, list_training_digests, start_folder
+from jaxunshear.training.provenance import (
+    InitialWeights,
+    check_origin,
+    list_training_digests,
+    start_folder,
+)
 
 LOCK = "run.lock"  # a row of a sweep has another lock
 

@@ -1,6 +1,5 @@
 """Commands that put networks to use: what they refuse in one line, before they write."""
 
-import itertools
 import json
 import shutil
 

@@ -32,8 +32,7 @@ from jaxunshear.calibration.prediction import (
 )
 from jaxunshear.calibration.problem import SURFACE, RecordedGroup
 from jaxunshear.calibration.recorded_groups import RecordedImages, observe_groups, sample_folders
-from jaxunshear.config.image import Camera
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Camera, Sensor
 from jaxunshear.config.stimuli import ABS_FRICTION
 from jaxunshear.data.sensor_frame import match_sensor
 from jaxunshear.errors import UserError

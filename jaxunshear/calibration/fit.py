@@ -19,8 +19,7 @@ import numpy as np
 from jaxunshear.calibration.pin_statistics import measure_pin_diameters
 from jaxunshear.calibration.prediction import SensorValues, SolvedContacts
 from jaxunshear.calibration.problem import UNSOLVED_RESIDUAL_PX, Problem, RecordedGroup
-from jaxunshear.config.image import Camera, Nuisance, Preprocess
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Camera, Nuisance, Preprocess, Sensor
 from jaxunshear.perception.pin_detection import find_pins
 from jaxunshear.perception.preprocess import binarise
 from jaxunshear.simulator.camera import compute_outer_fraction, render_frame

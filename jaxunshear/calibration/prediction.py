@@ -16,9 +16,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.calibration.labels import EDGE_STIMULUS, LabelledMotions, make_paths
-from jaxunshear.config.image import FITTED_CAMERA, Camera
-from jaxunshear.config.reach import compute_max_depth_mm
-from jaxunshear.config.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
+from jaxunshear.config.sensor import (
+    FITTED_CAMERA,
+    FITTED_FRICTION,
+    TACTIP_331_FITTED,
+    Camera,
+    Sensor,
+    check_sensor,
+    compute_max_depth_mm,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
 from jaxunshear.simulator.camera import project

@@ -11,8 +11,7 @@ from jaxunshear.calibration.alignment import MIN_CORRELATION, read_labels
 from jaxunshear.calibration.pin_statistics import PinObservation, observe_pins
 from jaxunshear.calibration.prediction import SensorValues
 from jaxunshear.calibration.problem import RecordedGroup
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Preprocess, Sensor
 from jaxunshear.data.recordings import (
     IMAGE_FOLDERS,
     RecordedFrame,

@@ -20,7 +20,7 @@ from jaxunshear.results.applications import (
     TrajectoryScore,
     TrajectoryScores,
 )
-from jaxunshear.results.folders import find_results_folder
+from jaxunshear.results.record_files import find_results_folder
 
 if TYPE_CHECKING:
     from jaxunshear.inference.trained_model import TrainedModel
@@ -118,7 +118,7 @@ def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None")
     else:
         lattice = make_layout(get_sensor(arguments.sensor))
     found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
-    from jaxunshear.report.pin_figure import plot_pins
+    from jaxunshear.report.application_figures import plot_pins
 
     arrays = {
         "name": found.name,
@@ -138,7 +138,7 @@ def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None")
 def geometry(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
     from jaxunshear.data.recordings import read_recordings
     from jaxunshear.downstream.geometry_scores import estimate_recorded_heights, score_geometry
-    from jaxunshear.report.geometry_figure import plot_contacts, plot_recordings
+    from jaxunshear.report.application_figures import plot_contacts, plot_recordings
     from jaxunshear.text_table import format_text_table
 
     if arguments.path is not None:
@@ -161,7 +161,7 @@ def geometry(arguments: argparse.Namespace, out: Path, model: "TrainedModel") ->
 def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
     from jaxunshear.downstream.servo import ServoTask
     from jaxunshear.downstream.servo_scores import servo
-    from jaxunshear.report.trajectory_figure import plot_trajectories
+    from jaxunshear.report.application_figures import plot_trajectories
     from jaxunshear.text_table import format_text_table
 
     tasks = [
@@ -184,7 +184,7 @@ def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> ob
 def reconstruct(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
     from jaxunshear.downstream.object_reconstruction import reconstruct
     from jaxunshear.downstream.servo import load_trajectories
-    from jaxunshear.report.object_figure import PICTURES, plot_objects
+    from jaxunshear.report.application_figures import PICTURES, plot_objects
     from jaxunshear.text_table import format_text_table
 
     model.require_simulation("reconstruct")  # a model of recordings has no trajectories

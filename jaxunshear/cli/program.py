@@ -212,6 +212,6 @@ def write_measurement(
     """Write `content` with command, machine and versions into `file`, if there is one."""
     if file is None:
         return
-    from jaxunshear.metrics.machine import describe_provenance
+    from jaxunshear.results.provenance import describe_provenance
 
     write_json(file, describe_provenance(command, *packages) | content)

@@ -50,7 +50,7 @@ def validate(arguments: argparse.Namespace, command: str) -> int:
         raise UserError(f"--contacts {contacts}: use 1 or more, or 0 for all")
     if seed < 0:
         raise UserError(f"--seed {seed}: use 0 or more")
-    from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION, read_calibration
+    from jaxunshear.calibration.prediction import DEFAULT_CALIBRATION, read_calibration
     from jaxunshear.calibration.validate import validate
 
     fitted = DEFAULT_CALIBRATION if calibration is None else read_calibration(calibration)
@@ -88,16 +88,16 @@ def release(arguments: argparse.Namespace, command: str) -> int:
 
 
 def ablate(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear.evaluation import code_exchange, code_swaps, leakage, leakage_table
+    from jaxunshear.evaluation import code_swaps, codes, leakage
 
     experiment = load_settings(arguments.run)
     if arguments.leakage:
         from jaxunshear.report.leakage_figure import plot_leakage
 
         results = leakage.measure_leakage(experiment, arguments.run, arguments.data, command)
-        exchange = code_exchange.exchange_codes(experiment, arguments.run, arguments.data)
+        exchange = codes.exchange_codes(experiment, arguments.run, arguments.data)
         write_bytes(arguments.run / "leakage.png", plot_leakage(results, exchange))
-        print(leakage_table.format_table(results))
+        print(leakage.format_table(results))
         print(arguments.run / "leakage.png")
     else:
         results = code_swaps.ablate(experiment, arguments.run, arguments.data, command)

@@ -28,8 +28,7 @@ from jaxunshear.data.sampling import ContactSamples, sample_contacts
 from jaxunshear.data.sensor_frame import find_sensor_frame
 from jaxunshear.data.simulation import SimulationEngine, make_engine, simulate_chunks
 from jaxunshear.errors import UserError
-from jaxunshear.files import compute_checksum, write_json
-from jaxunshear.locks import hold_lock
+from jaxunshear.files import compute_checksum, hold_lock, write_json
 
 if not hasattr(tfds, "core"):  # TFDS logs what its own import raised, and goes on without its parts
     raise UserError(

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import (
     Chunk,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import Recordings, read_first_image, read_recordings
 from jaxunshear.data.sensor_frame import LARGEST_PX
 from jaxunshear.perception.lattice import Lattice

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.sensor import SENSORS, Sensor
+from jaxunshear.config.sensor import SENSORS, Preprocess, Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.recorded_contacts import RecordedContacts
 from jaxunshear.data.recordings import Recordings, find_common_view, read_first_image, read_image

@@ -23,8 +23,7 @@ from jaxunshear.cluster import Call, CallRunner, WorkerDied, run_locally
 from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Camera, Nuisance, Preprocess
-from jaxunshear.config.sensor import LAYOUTS, LayoutFunction, Sensor
+from jaxunshear.config.sensor import LAYOUTS, Camera, LayoutFunction, Nuisance, Preprocess, Sensor
 from jaxunshear.config.splits import BLOCK
 from jaxunshear.data.chunks import Chunk, load_chunk, pack_bits
 from jaxunshear.data.sampling import ContactSamples, sample_pairs
@@ -34,7 +33,7 @@ from jaxunshear.perception.preprocess import binarise
 from jaxunshear.progress import Progress
 from jaxunshear.simulator import camera as cameras
 from jaxunshear.simulator import simulate
-from jaxunshear.simulator.contact_results import compute_indentation
+from jaxunshear.simulator.contacts import compute_indentation
 from jaxunshear.simulator.paths import make_paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.scene import Scenes

@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.data import simulation
 from jaxunshear.data.chunks import unpack_bits
-from jaxunshear.data.simulated_contacts import simulate_contacts
+from jaxunshear.data.simulation import SCALE_TAPS, simulate_contacts
 from jaxunshear.downstream.contour import Contour, trace_contour
 from jaxunshear.downstream.geometry import measure_tap_motions
 from jaxunshear.downstream.reconstruct import (
@@ -103,7 +102,7 @@ def reconstruct(
 
     @cache
     def make_estimators(depth_mm: float) -> dict[str, ShapeEstimator]:
-        taps = simulate_contacts(model.experiment, simulated_contacts.SCALE_TAPS, 1, depth_mm)
+        taps = simulate_contacts(model.experiment, SCALE_TAPS, 1, depth_mm)
         xy = transform_to_target(taps.pose[:, :3], compute_skin_positions(model.sensor))
         distance = np.zeros(xy.shape[:2])
         for index, stimulus in enumerate(paired.stimuli):

@@ -25,7 +25,8 @@ from jaxunshear.angles import rotate_2d
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.stimuli import Outline, StimulusSetting
-from jaxunshear.data.chunks import RENDER_BATCH, pack_bits, render_images
+from jaxunshear.data.chunks import pack_bits
+from jaxunshear.data.simulation import RENDER_BATCH, render_images
 from jaxunshear.downstream.contour import (
     Command,
     Contour,

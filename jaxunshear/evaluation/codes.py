@@ -15,17 +15,17 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.registry import DISENTANGLED
-from jaxunshear.data.factorial import FactorialReader
+from jaxunshear.config.networks import DISENTANGLED
 from jaxunshear.data.reader import Reader
+from jaxunshear.data.stored_sets import FactorialReader
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.intervals import compute_interval, number_poses, resample_means
 from jaxunshear.files import Json
 from jaxunshear.models import registry
 from jaxunshear.models.weights import Net, Variables
 from jaxunshear.selection import select_evenly
+from jaxunshear.training.checkpoint import load_network
 from jaxunshear.training.examples import open_examples
-from jaxunshear.training.trained_network import load_network
 
 BATCH = 64
 MAX_SLIDES = 2000  # evenly chosen

@@ -23,13 +23,12 @@ from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.result_tables import finish_results
 from jaxunshear.evaluation.score import SMOOTH, choose_main_kind
 from jaxunshear.files import write_bytes
-from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.inference.forward import jit_for_inference
 from jaxunshear.models.registry import get_net_modality, predict, unshear
 from jaxunshear.results.record_files import read_times, write_record
 from jaxunshear.results.run import Results
-from jaxunshear.training.checkpoint import check_finished
-from jaxunshear.training.data_origin import check_origin
-from jaxunshear.training.trained_network import load_network
+from jaxunshear.training.checkpoint import check_finished, load_network
+from jaxunshear.training.provenance import check_origin
 
 CALLS = 40  # of each network that is timed
 WARM_UP_CALLS = 3  # not counted: the first compiles

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.registry import DISENTANGLED
+from jaxunshear.config.networks import DISENTANGLED
 from jaxunshear.evaluation.codes import load_code_network, measure_exchange_errors
 from jaxunshear.evaluation.intervals import INTERVALS_OVER, compute_interval, resample_means
 from jaxunshear.evaluation.probe_data import ProbeSplit, Quantity, estimate_slides, read_splits
@@ -32,7 +32,6 @@ from jaxunshear.metrics.disentanglement import Blocks, compute_hsic, score_dci, 
 from jaxunshear.results.provenance import describe_provenance, read_training_facts
 from jaxunshear.selection import select_evenly
 from jaxunshear.text_table import format_text_table
-from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import open_examples
 from jaxunshear.training.provenance import check_origin
 

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from jaxunshear.config.registry import DISENTANGLED, ENTANGLED
+from jaxunshear.config.networks import DISENTANGLED, ENTANGLED
 from jaxunshear.results.measurement import Measured, Measurement
 from jaxunshear.results.run import CodeSwapScore, ResultBar, Results, Tables
 

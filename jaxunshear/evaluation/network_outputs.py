@@ -19,7 +19,7 @@ from jaxunshear.models.modality import IMAGES, PINS, Modality
 from jaxunshear.models.registry import predict, unshear
 from jaxunshear.models.weights import Net, Variables
 from jaxunshear.selection import select_evenly
-from jaxunshear.training.trained_network import load_network
+from jaxunshear.training.checkpoint import load_network
 
 PIN_CELLS = ("DC(z_p)", "DS(z_p,z_s)")  # of networks over pins
 

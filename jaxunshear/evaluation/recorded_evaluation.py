@@ -19,14 +19,14 @@ import numpy as np
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.registry import POSENET, POSENETS
+from jaxunshear.config.networks import POSENET, POSENETS
 from jaxunshear.config.targets import Targets
-from jaxunshear.data.digests import compute_digest
-from jaxunshear.data.preprocessing import prepare_chunks
 from jaxunshear.data.reader import Batch, Reader
-from jaxunshear.data.recorded_contacts import read_test_contacts
-from jaxunshear.data.recorded_set import RecordedSet, UnstoredSet, parse_frame
+from jaxunshear.data.recorded_contacts import compute_digest, read_test_contacts
+from jaxunshear.data.recorded_frames import prepare_chunks
+from jaxunshear.data.recorded_set import RecordedSet, UnstoredSet
 from jaxunshear.data.recorded_source import read_pin_layout
+from jaxunshear.data.sensor_frame import parse_frame
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.contact_scores import BATCH, ContactScores, Scorer, TestSet, score_test
@@ -47,7 +47,7 @@ from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME, HelperLoader
-from jaxunshear.training.initial_weights import check_unseen
+from jaxunshear.training.provenance import check_unseen
 
 KEPT_SLIDES = 72  # slides whose pins are detected, and from which the montage is chosen
 TAP_LABELS = ("pose", "pose_id", "stimulus", "number", "sure")

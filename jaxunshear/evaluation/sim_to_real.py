@@ -34,11 +34,9 @@ from jaxunshear.config.targets import (
     list_target_names,
     make_label_targets,
 )
-from jaxunshear.data.digests import compute_digest
-from jaxunshear.data.preprocessing import MIN_FRAMES, find_sensor_frame
-from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contacts
-from jaxunshear.data.recorded_probes import find_training_view
+from jaxunshear.data.recorded_contacts import RecordedContacts, compute_digest, read_test_contacts
 from jaxunshear.data.recordings import read_image
+from jaxunshear.data.sensor_frame import MIN_FRAMES, find_sensor_frame, find_training_view
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.intervals import compute_recovery
 from jaxunshear.evaluation.pose_estimators import PIN_PLACES, compute_pin_features, fit_to_features

@@ -19,8 +19,7 @@ from jaxunshear.config.experiment import Experiment, list_further_tests
 from jaxunshear.config.networks import DISENTANGLED
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import make_range_targets, read_true_values
-from jaxunshear.data.generation import read_metadata
-from jaxunshear.data.reader import Batch, Reader, open_set
+from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.sources import Examples
 from jaxunshear.data.stored_sets import open_set, read_metadata
 from jaxunshear.errors import UserError
@@ -55,8 +54,8 @@ from jaxunshear.evaluation.score import SMOOTH
 from jaxunshear.metrics.errors import measure_pin_errors
 from jaxunshear.models.modality import IMAGES, PINS, get_modality
 from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.pin_tracking import track_images
-from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.results.run import Counts, FurtherTest, Results, Tables
 from jaxunshear.selection import select_evenly
 from jaxunshear.simulator.scene import NEAR_MM, TURN_DEG, has_one_edge

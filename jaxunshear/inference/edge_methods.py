@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxunshear.config import registry
+from jaxunshear.config import networks
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import jit_for_inference, make_forward, scale_inputs
@@ -26,12 +26,12 @@ from jaxunshear.training.checkpoint import compute_weights_digest
 
 TRUE_POSE = "true"  # the pose that the simulator knows
 METHODS = {  # name: the networks it runs, in this order
-    "sheared": (registry.POSENET,),
-    registry.ENTANGLED: (registry.ENTANGLED, registry.POSENET),
-    registry.DISENTANGLED: (registry.DISENTANGLED, registry.POSENET),
-    registry.ENTANGLED_LARGE: (registry.ENTANGLED_LARGE, registry.POSENET),
-    registry.UNET: (registry.UNET, registry.POSENET),
-    "learnt": (registry.POSENET_SHEARED,),
+    "sheared": (networks.POSENET,),
+    networks.ENTANGLED: (networks.ENTANGLED, networks.POSENET),
+    networks.DISENTANGLED: (networks.DISENTANGLED, networks.POSENET),
+    networks.ENTANGLED_LARGE: (networks.ENTANGLED_LARGE, networks.POSENET),
+    networks.UNET: (networks.UNET, networks.POSENET),
+    "learnt": (networks.POSENET_SHEARED,),
 }
 EDGE_TARGETS = ("edge_mm", "edge_deg")
 # images (B, S, S) uint8 of {0, 255} -> the edge's mm and deg, (B,) each; NaN if the networks need
@@ -108,7 +108,7 @@ def find_unshearing_network(method: str) -> str:
 
     There may be no network of the name.
     """
-    return registry.DISENTANGLED if method == TRUE_POSE else method
+    return networks.DISENTANGLED if method == TRUE_POSE else method
 
 
 def load_unshearers(model: TrainedModel) -> dict[str, Unshear]:
@@ -125,4 +125,4 @@ def load_unshearers(model: TrainedModel) -> dict[str, Unshear]:
         )
         return partial(measure, run)
 
-    return {name: load_unshearer(name) for name in registry.UNSHEARING if name in model.networks}
+    return {name: load_unshearer(name) for name in networks.UNSHEARING if name in model.networks}

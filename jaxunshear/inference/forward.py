@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED
+from jaxunshear.config.networks import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.models import posenet
 from jaxunshear.models.registry import predict, unshear
 from jaxunshear.models.weights import Tree, Variables

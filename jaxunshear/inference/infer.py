@@ -29,7 +29,6 @@ from jaxunshear.perception.sensor_check import invert_image, judge_images
 from jaxunshear.progress import Progress
 from jaxunshear.results.measurement import Measured, Measurement
 from jaxunshear.results.provenance import describe_machine, list_versions
-from jaxunshear.serialization import format_csv
 
 LABELS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 SAMPLED_FRAMES = 20  # frames by which a folder is judged

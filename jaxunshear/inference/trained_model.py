@@ -55,7 +55,6 @@ from jaxunshear.inference.readers import (
     judge_batch,
     make_pin_reader,
 )
-from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.models.posenet import unscale_outputs
 from jaxunshear.models.registry import encode
 from jaxunshear.models.weights import Tree

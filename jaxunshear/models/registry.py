@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxunshear.config import networks
-from jaxunshear.config import registry as names
+from jaxunshear.config import networks as names
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.models import pin_networks, posenet, unet, unshearnet
 from jaxunshear.models.modality import IMAGES, PINS, Modality

@@ -10,8 +10,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from jaxunshear.angles import rotation_2d
-from jaxunshear.config.image import Camera, Preprocess
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Camera, Preprocess, Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import Lattice, compute_rings, estimate_rings, make_lattice
 from jaxunshear.perception.pin_detection import DetectedPins, find_hull

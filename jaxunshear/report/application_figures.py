@@ -10,15 +10,15 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from jaxunshear.config.registry import REGISTRY, UNSHEARING
+from jaxunshear.config.networks import REGISTRY, UNSHEARING
 from jaxunshear.data.recorded_pins import ShownImage
-from jaxunshear.data.simulated_contacts import SimulatedContacts
+from jaxunshear.data.simulation import SimulatedContacts
 from jaxunshear.downstream.contour import Contour
 from jaxunshear.downstream.geometry import HEIGHT_METHODS, INVERSE, interpolate_surface
 from jaxunshear.downstream.geometry_scores import UNTOUCHED, Geometry, compute_correlation
 from jaxunshear.downstream.object_reconstruction import ReconstructedObject
+from jaxunshear.downstream.reconstruct import SKIN, VORONOI
 from jaxunshear.downstream.servo import CLOSED, ENDS, Trajectories
-from jaxunshear.downstream.shape_estimators import SKIN, VORONOI
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.style import (
     ABREAST,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from jaxunshear.config.registry import UNSHEARING
+from jaxunshear.config.networks import UNSHEARING
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import write_bytes, write_text

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
-from jaxunshear.config.registry import DISENTANGLED, TEACHER
+from jaxunshear.config.networks import DISENTANGLED, TEACHER
 from jaxunshear.results.sweep import CellResult, Figures, SweepResult
 from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE, encode_png, make_panels
 

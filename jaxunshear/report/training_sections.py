@@ -13,16 +13,15 @@ from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from jaxunshear.config.registry import TRAINABLE
+from jaxunshear.config.networks import TRAINABLE
 from jaxunshear.errors import Note
-from jaxunshear.files import Json, check_and_remove_checksum
+from jaxunshear.files import Json, check_and_remove_checksum, to_builtins
 from jaxunshear.progress import format_duration
 from jaxunshear.report import html, wording
 from jaxunshear.report.wording import Wording
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
-from jaxunshear.serialization import to_builtins
 from jaxunshear.style import ABREAST, COLOURS, INK, STYLE, encode_svg, make_panels
 
 RETRAIN_REMEDY = "delete it, then run the same experiment again, which goes on from the checkpoint"

@@ -12,8 +12,7 @@ from typing import TypeVar
 import msgspec
 
 from jaxunshear.errors import Note, UserError
-from jaxunshear.files import read_json, read_object, write_json
-from jaxunshear.serialization import to_builtins
+from jaxunshear.files import read_json, read_object, to_builtins, write_json
 
 SCHEMA = 1  # of all records; a file without one has this first schema
 Record = TypeVar("Record")

@@ -27,7 +27,7 @@ from jaxunshear.sweep.grid import Row, find_reference, list_cells, list_rows
 from jaxunshear.sweep.scores import RowScores, read_tests
 from jaxunshear.sweep.summary import summarise
 from jaxunshear.sweep.tasks import LOCK, WORKER, Task, read_outcome, run_task, write_failure
-from jaxunshear.training.initial_weights import start_folder
+from jaxunshear.training.provenance import start_folder
 
 Engine = Callable[[Sequence[Task], Sequence[str]], Iterator[Task]]  # yields tasks as they end
 Item = TypeVar("Item")

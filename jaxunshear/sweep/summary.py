@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.fields import format_value
-from jaxunshear.config.registry import POSENET_SHEARED
+from jaxunshear.config.networks import POSENET_SHEARED
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import Sweep, get_base, list_fields
 from jaxunshear.evaluation.intervals import compute_recovery, compute_recovery_interval

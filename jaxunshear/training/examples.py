@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import NetworkConfig, resolve_network
-from jaxunshear.config.registry import POSENET_SHEARED, RENDERER
+from jaxunshear.config.networks import POSENET_SHEARED, RENDERER
 from jaxunshear.config.splits import hash_text
 from jaxunshear.config.targets import RECORDED_FIELDS
-from jaxunshear.data.pose_groups import group_by_pose
-from jaxunshear.data.reader import Batch, Reader, SetReader, open_set
+from jaxunshear.data.reader import Batch, Reader, group_by_pose
 from jaxunshear.data.recorded_set import PoseEstimator, RecordedSet, SlideSimulator, TapRenderer
 from jaxunshear.data.sources import Examples, open_source
+from jaxunshear.data.stored_sets import SetReader, open_set
 from jaxunshear.files import Json
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import IMAGES, PINS

@@ -10,7 +10,7 @@ from jax import Array
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import get_loss
 from jaxunshear.config.network_config import resolve_network
-from jaxunshear.config.registry import ENTANGLED_LARGE, RENDERER, TEACHER
+from jaxunshear.config.networks import ENTANGLED_LARGE, RENDERER, TEACHER
 from jaxunshear.config.targets import Targets, list_label_fields
 from jaxunshear.config.training import Training, uses_teacher
 from jaxunshear.data.sources import Examples, open_source

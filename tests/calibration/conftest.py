@@ -11,8 +11,7 @@ from PIL import Image
 
 from jaxunshear.calibration.fit import render_images
 from jaxunshear.calibration.labels import EDGE_STIMULUS, make_paths, read_motions
-from jaxunshear.config.image import Camera
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Camera, Sensor
 from jaxunshear.simulator.simulate import follow
 
 # A small dome has few nodes and elements, and few pins are detected quickly.

@@ -9,8 +9,7 @@ import pytest
 
 from jaxunshear.calibration.calibrate import calibrate
 from jaxunshear.calibration.recorded_groups import RecordedImages
-from jaxunshear.config.image import Camera
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Camera, Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.camera import compute_outer_fraction
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM, write_recording

@@ -18,8 +18,7 @@ from jaxunshear.calibration.pin_statistics import (
     summarise_pins,
 )
 from jaxunshear.calibration.problem import RecordedGroup
-from jaxunshear.config.image import Camera
-from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.sensor import TACTIP_331, Camera
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.camera import compute_outer_fraction
 from jaxunshear.simulator.pin_layout import compute_pin_tips

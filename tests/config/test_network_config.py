@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments import few_pairs
 from jaxunshear import run
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import replace_field
@@ -102,7 +103,7 @@ def test_a_teacher_is_trained_before_the_networks_that_it_teaches():
 def record_training(monkeypatch, tmp_path):
     """Return what `run_stages` asks of a training: its arguments, but for the folder."""
     from jaxunshear.data import stored_sets
-    from jaxunshear.training import few_pairs, trainer
+    from jaxunshear.training import trainer
 
     class Reader:
         def train_batches(self, *words):

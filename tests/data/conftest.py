@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.data import PairedData, PoseData
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Preprocess, Sensor
 from jaxunshear.data.simulation import SimulationEngine
 
 SENSOR = Sensor(name="small", rings=2)

@@ -1,14 +1,10 @@
 """Outlines by arc length: closed forms of length, orientation and position."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxunshear.downstream.contour import (
     ControllerGains,
-    ControllerState,
-    control,
     measure_contour_distances,
     trace_contour,
     update_arc_positions,

@@ -20,7 +20,6 @@ from jaxunshear.models import pin_networks, posenet
 from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.pin_tracking import measure_motions, track_images
-from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.simulator.stimuli import STIMULI
 from tests.helpers.models import change_weights, init, write_run
 

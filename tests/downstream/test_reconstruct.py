@@ -5,24 +5,19 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from jaxunshear.config.image import Camera, Preprocess
-from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.sensor import TACTIP_331, Camera, Preprocess
 from jaxunshear.downstream.contour import Contour, trace_contour
 from jaxunshear.downstream.reconstruct import (
     SKIN,
-    VORONOI,
     HeightMap,
     compute_skin_positions,
     extract_ridge_shape,
-    find_separating_level,
     fuse_heights,
     interpolate_map,
-    make_shape_estimators,
     score_shape,
     transform_to_target,
 )
-from jaxunshear.errors import UserError
-from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.simulator.stimuli import STIMULI, compute_signed_distance
 
 PLACES = np.array([xy for xy in compute_skin_positions(TACTIP_331) if np.linalg.norm(xy) < 6])

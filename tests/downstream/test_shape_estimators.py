@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from jaxunshear.config.image import Camera, Preprocess
-from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.data.simulated_contacts import SimulatedContacts
+from jaxunshear.config.sensor import TACTIP_331, Camera, Preprocess
+from jaxunshear.data.simulation import SimulatedContacts
 from jaxunshear.downstream.geometry import measure_tap_motions
-from jaxunshear.downstream.reconstruct import compute_skin_positions
-from jaxunshear.downstream.shape_estimators import (
+from jaxunshear.downstream.reconstruct import (
     SKIN,
     VORONOI,
+    compute_skin_positions,
     find_separating_level,
     make_shape_estimators,
 )

@@ -9,21 +9,19 @@ import pytest
 
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.networks import ALL_NETWORKS, UNSHEARING
-from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.data import stored_sets
+from jaxunshear.config.sensor import TACTIP_331, Preprocess
+from jaxunshear.data import reader
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import simulated_evaluation
 from jaxunshear.evaluation.contact_scores import QUALITY
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.score import BASELINES
-from jaxunshear.files import read_json, write_json
+from jaxunshear.files import read_json, to_builtins, write_json
 from jaxunshear.results.record_files import SCHEMA, read_record
 from jaxunshear.results.run import Results
-from jaxunshear.serialization import to_builtins
 from tests.helpers.reproducible import select_results
 
 SIZE, COUNT = 32, 6

@@ -24,7 +24,6 @@ from jaxunshear.report import montage
 from jaxunshear.report.training_sections import read_history
 from jaxunshear.results.record_files import read_record, read_times
 from jaxunshear.results.run import Results
-from jaxunshear.serialization import to_builtins
 from jaxunshear.simulator.dome import load_dome
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 from tests.faults import shim

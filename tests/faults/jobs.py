@@ -11,7 +11,6 @@ from pathlib import Path
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.stored_sets import open_set
-from jaxunshear.evaluation.measurements import select_reproducible
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.sweep import SweepResult

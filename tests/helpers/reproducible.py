@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
+from jaxunshear.files import to_builtins
 from jaxunshear.results.run import Results
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.serialization import to_builtins
 
 PLACES = ("time_s", "ms_per_image", "machine", "trained_on", "source", "trained_by", "command")
 

@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 
-from jaxunshear.metrics.disentanglement import Blocks, score_dci, score_mig, score_sap
-from jaxunshear.metrics.independence import PERMUTATIONS, compute_hsic
+from jaxunshear.metrics.disentanglement import (
+    PERMUTATIONS,
+    Blocks,
+    compute_hsic,
+    score_dci,
+    score_mig,
+    score_sap,
+)
 
 RNG = np.random.default_rng(0)
 POSE, SLIDE = RNG.uniform(-1, 1, (3000, 2)), RNG.uniform(-1, 1, (3000, 2))

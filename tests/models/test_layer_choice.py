@@ -12,8 +12,8 @@ from flax import linen as nn
 from jaxunshear.config.networks import PinUnshear, PoseNet, UNet, UnshearNet
 from jaxunshear.environment import KERNELS_VARIABLE, check_environment
 from jaxunshear.errors import UserError
+from jaxunshear.inference.forward import jit_for_inference
 from jaxunshear.models import layer_choice, pin_networks, registry
-from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.layers import ConvTranspose
 from tests.helpers.convolutions import check_same_function, draw_normal
 

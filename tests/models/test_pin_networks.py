@@ -10,13 +10,13 @@ import pytest
 from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.errors import Note, UserError
 from jaxunshear.models import distances
-from jaxunshear.models.pin_grid import make_grid
 from jaxunshear.models.pin_networks import (
     add_noise,
     decode_canonical,
     decode_sheared,
     encode,
     init,
+    make_grid,
     predict,
     reconstruct,
     render_pins,

@@ -16,8 +16,7 @@ from skimage.util import montage, view_as_blocks
 
 from jaxunshear.angles import rotation_2d
 from jaxunshear.config.configs import PAIRED
-from jaxunshear.config.image import Camera, Nuisance, Preprocess
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Camera, Nuisance, Preprocess, Sensor
 from jaxunshear.data.simulation import render_images
 from jaxunshear.perception.lattice import measure_spacing
 from jaxunshear.perception.pin_detection import detect_pins_fast

@@ -5,8 +5,15 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from jaxunshear.config.image import FITTED_CAMERA, Camera, Nuisance, Preprocess
-from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED
+from jaxunshear.config.sensor import (
+    FITTED_CAMERA,
+    TACTIP_127,
+    TACTIP_331,
+    TACTIP_331_FITTED,
+    Camera,
+    Nuisance,
+    Preprocess,
+)
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice, fit_lattice, make_layout
 from jaxunshear.perception.pin_detection import detect_pins_fast, find_pins
 from jaxunshear.perception.preprocess import View, prepare_frame

@@ -18,8 +18,8 @@ import pytest
 
 from jaxunshear import load_model
 from jaxunshear.cli import main
-from jaxunshear.config.image import Preprocess
 from jaxunshear.config.load import load_experiment
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recorded_contacts import compute_digest
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.files import write_json

@@ -26,6 +26,7 @@ from jaxunshear.evaluation.sim_to_real import (
     choose_scored_labels,
     score_transfer,
 )
+from jaxunshear.files import to_builtins
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.readers import Predictions, make_frame_transforms
 from jaxunshear.inference.trained_model import TrainedModel

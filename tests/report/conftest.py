@@ -13,8 +13,8 @@ from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.evaluate import encode_montage
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
 from jaxunshear.evaluation.simulated_evaluation import build_simulated_results
+from jaxunshear.files import to_builtins
 from jaxunshear.report.report import write_report
-from jaxunshear.serialization import to_builtins
 
 VOID = {"meta", "img", "br"}
 SIZE, COUNT = 128, 36

@@ -20,6 +20,7 @@ from jaxunshear.evaluation.recorded_results import (
     build_recorded_results,
 )
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
+from jaxunshear.files import to_builtins
 from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.report.report import write_report
 from jaxunshear.results.record_files import convert_record

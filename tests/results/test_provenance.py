@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
+from jaxunshear.files import to_builtins
 from jaxunshear.results.measurement import Machine, Source, TrainingSummary
 from jaxunshear.results.provenance import describe_machine, list_versions, read_training_facts
 from jaxunshear.results.record_files import convert_record, write_record
 from jaxunshear.results.run import Results
-from jaxunshear.serialization import to_builtins
 
 NOW = Source("0.3.0", "2030-01-02", "c", True)
 EARLIER = replace(NOW, commit="b")

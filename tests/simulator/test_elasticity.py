@@ -5,7 +5,6 @@ import pytest
 import scipy.sparse as sp
 
 from jaxunshear.errors import UserError
-from jaxunshear.simulator.cholesky import factorise
 from jaxunshear.simulator.elasticity import (
     Pins,
     compute_isotropic_stiffness,
@@ -14,8 +13,12 @@ from jaxunshear.simulator.elasticity import (
     factorise,
     sum_harmonics,
 )
-from jaxunshear.simulator.mesh import compute_shape_functions, make_dome_mesh
-from jaxunshear.simulator.pin_levers import PinLevers, compute_interpolation
+from jaxunshear.simulator.mesh import (
+    PinLevers,
+    compute_interpolation,
+    compute_shape_functions,
+    make_dome_mesh,
+)
 from verification.half_space import make_half_space_mesh
 
 

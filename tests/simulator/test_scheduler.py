@@ -13,7 +13,15 @@ from jaxunshear.simulator.level import LEVELS
 from jaxunshear.simulator.paths import Paths, cut_increments, make_paths
 from jaxunshear.simulator.scene import make_scenes, sample_poses, sample_slides
 from jaxunshear.simulator.scheduler import Simulation, make_plan
-from jaxunshear.simulator.stimuli import STIMULI, TRAINING, Stimulus, compute_signed_distance
+from jaxunshear.simulator.stimuli import (
+    REACH_MM,
+    STIMULI,
+    TRAINING,
+    Stimulus,
+    compute_signed_distance,
+    interpolate_distance,
+    sample_obstacles,
+)
 
 AUTO = Simulation(TACTIP_331, TRAINING, LEVELS["auto"])
 

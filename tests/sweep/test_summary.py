@@ -11,7 +11,6 @@ from jaxunshear.config.sweep import Sweep
 from jaxunshear.files import to_builtins
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import Failure, Figure, Outcome, SweepResult
-from jaxunshear.serialization import to_builtins
 from jaxunshear.sweep.grid import find_reference, list_cells
 from jaxunshear.sweep.scores import RowScores, compute_interval
 from jaxunshear.sweep.summary import (

@@ -1,19 +1,16 @@
 """A step over two devices is the step over one: tried on virtual ones, in a process of its own."""
 
-import contextlib
-import itertools
 import json
 import os
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import pytest
 
 from jaxunshear import environment
 from jaxunshear.errors import UserError
-from jaxunshear.report.history import read_lines
+from jaxunshear.report.training_sections import read_lines
 from jaxunshear.training.devices import get_devices
 
 ROOT = Path(__file__).resolve().parents[2]

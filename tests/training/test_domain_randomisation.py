@@ -85,7 +85,7 @@ def test_the_camera_moves_slides_and_not_the_taps_they_are_unsheared_to():
     given, draw = batch(64), make_randomisation(REST, 1.0)
     drawn = draw(given, jax.random.key(5))
     moved, still = (get_slides(b).mean(axis=1).std() for b in (drawn, given))
-    shift = domain_randomisation.SHIFTED * 36 / TACTIP_127.rings
+    shift = augmentation.SHIFTED * 36 / TACTIP_127.rings
     assert 0.5 < moved / np.hypot(1.5 * still, shift) < 2
     taps, before = (np.asarray(b["canonical_pins"]).mean(axis=1).std() for b in (drawn, given))
     assert taps == pytest.approx(before, rel=0.2)

@@ -14,15 +14,13 @@ from jaxunshear.config.networks import UnshearNet
 from jaxunshear.data.reader import Reader
 from jaxunshear.data.sources import Examples, PinLayout, open_source
 from jaxunshear.data.stored_sets import SetReader
-from jaxunshear.training.few_pairs import (
-    ANOTHER,
-    ONE,
-    TAPS,
+from jaxunshear.training.examples import (
     add_same_pose_slides,
     add_taps,
     choose_poses,
     select_few_pairs,
 )
+from jaxunshear.training.losses import ANOTHER, ONE, TAPS
 
 # four slides at each of twenty poses
 STIMULUS, POSE = np.repeat([0, 1], 40), np.tile(np.repeat(np.arange(10), 4), 2)

@@ -12,13 +12,13 @@ from jaxunshear.config.configs import compute_fingerprint
 from jaxunshear.config.data import PairedData, Recorded, RecordedTaps
 from jaxunshear.config.experiment import Experiment, list_further_tests
 from jaxunshear.config.network_config import resolve_network
+from jaxunshear.config.serialization import RELEASED, load_settings
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
 from jaxunshear.models import unshearnet
 from jaxunshear.training import checkpoint, trainer
-from jaxunshear.training.data_origin import check_origin
-from jaxunshear.training.initial_weights import (
+from jaxunshear.training.provenance import (
     InitialWeights,
     check_origin,
     check_unseen,

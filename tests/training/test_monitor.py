@@ -1,15 +1,11 @@
 """The line of a training that stops, and the event files of one that goes on."""
 
-import struct
-import sys
-from pathlib import Path
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.training.finite_check import check_state, check_terms
+from jaxunshear.training.monitor import check_state, check_terms
 from jaxunshear.training.step import State
 
 SOUND = {"image": np.full((12, 4, 4, 1), 255, np.uint8), "pose": np.full((12, 4), -3.5, np.float32)}
@@ -65,53 +61,3 @@ def test_any_part_of_the_state_is_checked_at(tmp_path, part):
     spoilt = sound._replace(**{part: {"E": {"kernel": jnp.array([1.0, np.inf, 0.0])}}})
     with pytest.raises(UserError, match=rf"stopped: {part}\.E\.kernel not finite at step 7"):
         check_state(spoilt, 7, SOUND, tmp_path)
-
-
-def read(folder):
-    """Return the events of all files in a folder: records of a length, its check, the event, its check."""
-    from tensorboardX.proto.event_pb2 import Event
-
-    found = []
-    for path in sorted(folder.glob("events.out.tfevents.*")):
-        data = path.read_bytes()
-        while data:
-            (size,) = struct.unpack("<Q", data[:8])
-            found.append(Event.FromString(data[12 : 12 + size]))
-            data = data[16 + size :]
-    return found
-
-
-def points(folder):
-    """Return step and value of each figure, by tag."""
-    found = {}
-    for event in read(folder):
-        for value in event.summary.value:
-            found.setdefault(value.tag, []).append((event.step, value.simple_value))
-    return found
-
-
-def test_a_training_writes_what_its_log_says(tmp_path):
-    small.train(tmp_path)
-    lines, found = read_lines(tmp_path / "log.jsonl"), points(tmp_path)
-    rate = make_schedule(small.TRAINING, 12, 4)
-    assert len(lines) == 3 and found.keys() == {*list_scalars(lines[0]), "learning_rate"}
-    for line in lines:
-        for tag, value in (
-            list_scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}
-        ).items():
-            assert (line["step"], np.float32(value)) in found[tag]
-
-
-def test_one_that_goes_on_drops_what_a_stopped_one_wrote_beyond(tmp_path):
-    with open_events(tmp_path, 4, lambda step: 0.5) as log:
-        log({"step": 8, "train": {"loss": 1.0}, "validation": {"loss": None}})
-    start, event = read(tmp_path)[1:]
-    assert (start.step, start.session_log.status) == (5, 1)
-    assert {value.tag for value in event.summary.value} == {"train/loss", "learning_rate"}
-
-
-def test_without_the_extra_nothing_is_written(tmp_path, absent):
-    absent("tensorboardX.event_file_writer")
-    with open_events(tmp_path, 0, lambda step: 0.5) as log:
-        log({"step": 8})
-    assert not list(tmp_path.iterdir())

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.image import Preprocess
-from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.sensor import TACTIP_331, Preprocess
 from jaxunshear.data.recorded_frames import UnstoredSet
 from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.training import simulated_slides

@@ -8,10 +8,10 @@ import threading
 import numpy as np
 import pytest
 
-from jaxunshear.report.history import read_lines
-from jaxunshear.training.prefetch import prefetch
+from jaxunshear.report.training_sections import read_lines
+from jaxunshear.training.devices import prefetch
+from jaxunshear.training.monitor import list_scalars, open_events
 from jaxunshear.training.step import make_schedule
-from jaxunshear.training.tensorboard import list_scalars, open_events
 from tests.training import small
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from skimage.measure import find_contours
 
 from jaxunshear.apps.explore.explorer import FREE, SLIPPING, STUCK, Touch
-from jaxunshear.config.reach import compute_reach_mm
+from jaxunshear.config.sensor import compute_reach_mm
 from jaxunshear.perception.drawing import encode_png
 from jaxunshear.simulator.stimuli import Stimulus, compute_signed_distance
 

@@ -17,8 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from jaxunshear.config.data import PairedData
-from jaxunshear.config.reach import compute_ring_spacing
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Sensor, compute_ring_spacing
 from jaxunshear.config.targets import SIMULATED_FIELDS
 from jaxunshear.data.recordings import read_image
 from jaxunshear.data.sensor_frame import SensorFrame

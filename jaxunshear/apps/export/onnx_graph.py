@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from onnx import ModelProto, TensorProto, ValueInfoProto, checker, helper, numpy_helper
 
-from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.perception.grey import LUMA

@@ -19,7 +19,7 @@ from jaxunshear import load_model
 from jaxunshear.apps.export import networks
 from jaxunshear.apps.export.export import build_stablehlo
 from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
-from jaxunshear.apps.export.onnx_graph import FLOAT, OnnxGraph
+from jaxunshear.apps.export.onnx_graph import FLOAT, OnnxGraph, preprocess_frames, read_camera
 from jaxunshear.apps.export.parts import (
     MAX_DIFFERENCE,
     ExportedModel,

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import lax
+from flax import linen as nn
 
-from jaxunshear.models.fast import conv, patches
+from jaxunshear.models.fast import conv
 from tests.helpers.convolutions import (
     LAYOUT,
     check_close,
@@ -92,7 +92,7 @@ def test_up_is_a_transposed_convolution_in_bordered_blocks(dtype):
 @pytest.mark.parametrize("side", [1, 2, 7, 20])
 def test_one_product_of_patches_is_the_plain_convolution(side, stride, dtype):
     def ours(x, w):
-        return patches.convolve(x, w, 2 * (stride,), "SAME", dimension_numbers=LAYOUT)
+        return conv.convolve(x, w, 2 * (stride,), "SAME", dimension_numbers=LAYOUT)
 
     def plain(x, w):
         return convolve(x, w, stride, "SAME")

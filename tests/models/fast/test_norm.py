@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flax import linen as nn
 
-from jaxunshear.models.fast import compiled_kernels, conv, layers, norm
+from jaxunshear.models.fast import compiled_kernels, conv, networks, norm
 from tests.helpers.convolutions import check_close
 
 LAYOUTS = [(a, b) for a in ("plain", "blocks") for b in compiled_kernels.LAYOUTS]
