@@ -1,7 +1,6 @@
 """The full way at its smallest: one command, then what a person does with the result."""
 
 import contextlib
-import fcntl
 import json
 import os
 import random
@@ -368,16 +367,11 @@ def test_data_that_another_process_makes_bind_nobody(tmp_path):
         pytest.fail("work that another process does")
 
     folder = configs.get_unfinished_folder(SMALL.paired, SMALL.sensor, tmp_path)
-    folder.mkdir(parents=True)
-    other = os.open(folder, os.O_RDONLY)
-    fcntl.flock(other, fcntl.LOCK_EX)  # as that process would
-    try:
+    with hold_lock(folder / "lock", wait=False):  # as that process would
         for seed in (0, 7):
             asked = replace(SMALL, seed=seed)
             with pytest.raises(UserError, match="another process"):
                 run.run_stages(asked, ("data",), tmp_path, tmp_path, "none", idle)
-    finally:
-        os.close(other)
 
 
 @pytest.mark.parametrize(("more", "kept"), [(0, True), (1, False)])

@@ -75,7 +75,7 @@ def test_rows_are_written_with_the_command_and_the_rivals_versions(
     monkeypatch.setattr("benchmarks.bench_networks.bench_train", lambda size, batch: rows)
     monkeypatch.setattr("benchmarks.bench_networks.format_table", lambda rows: "a table")
     monkeypatch.setattr(
-        "jaxunshear.metrics.machine.list_versions",
+        "jaxunshear.results.provenance.list_versions",
         lambda *more: asked.append(more) or {"python": "3"},
     )
     answer = benchmarks("train", "--size", "64", "--json", file)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments import few_pairs
 from jaxunshear import run
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import replace_field
@@ -103,7 +102,7 @@ def test_a_teacher_is_trained_before_the_networks_that_it_teaches():
 def record_training(monkeypatch, tmp_path):
     """Return what `run_stages` asks of a training: its arguments, but for the folder."""
     from jaxunshear.data import stored_sets
-    from jaxunshear.training import trainer
+    from jaxunshear.training import examples, trainer
 
     class Reader:
         def train_batches(self, *words):
@@ -132,7 +131,7 @@ def record_training(monkeypatch, tmp_path):
             return Reader()
 
         monkeypatch.setattr(stored_sets, "open_set", open_set)
-        monkeypatch.setattr(few_pairs, "open_set", open_set)
+        monkeypatch.setattr(examples, "open_set", open_set)
         monkeypatch.setattr(trainer, "train", train)
         out = tmp_path / str(len(list(tmp_path.iterdir())))
         run.run_stages(experiment, (network,), out, tmp_path, "none")

@@ -8,7 +8,6 @@ import pytest
 from jaxunshear.config.sensor import TACTIP_331, Camera, Preprocess
 from jaxunshear.downstream.contour import Contour, trace_contour
 from jaxunshear.downstream.reconstruct import (
-    SKIN,
     HeightMap,
     compute_skin_positions,
     extract_ridge_shape,
@@ -47,7 +46,7 @@ def follow_perfectly(name, share=1.0):
     steps = contour.at(np.arange(0, share * contour.length, 0.5))
     yaw = np.degrees(np.arctan2(contour.normal[steps, 1], contour.normal[steps, 0]))
     point = np.column_stack([contour.points[steps], yaw])
-    xy = transform_to_target(point, SKIN).astype(np.float32)
+    xy = transform_to_target(point, PLACES).astype(np.float32)
     return Walk(name, contour, point, np.asarray(compute_signed_distance(STIMULI[name], xy)))
 
 

@@ -12,7 +12,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.networks import ALL_NETWORKS, UNSHEARING
 from jaxunshear.config.sensor import TACTIP_331, Preprocess
-from jaxunshear.data import reader
+from jaxunshear.data import stored_sets
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import simulated_evaluation
@@ -71,7 +71,7 @@ class Reader:
 
 
 def _opens(monkeypatch, count):
-    for module in (simulated_evaluation, reader):
+    for module in (simulated_evaluation, stored_sets):
         monkeypatch.setattr(module, "open_set", lambda *_: Reader(count))
     monkeypatch.setattr(simulated_evaluation, "read_metadata", lambda *_: Reader.metadata)
 

@@ -182,3 +182,17 @@ def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
     assert list_taught_parts(slope) == {"ES", "shear"}
     assert not np.any(slope["shear"]["kernel"][:, 3])  # a fourth number is free
     assert not list_taught_parts(differentiate(params, np.full_like(felt, np.nan)))
+
+
+def test_exchanged_codes_are_compared_in_validation_too():
+    _, task, variables = make_task(name_losses(counterfactual=2.0, code_agreement=0.5), apart=True)
+    given = batch()
+    tap = task.validate(variables, given | {"sheared_pins": given["canonical_pins"]})
+    assert np.all(tap["code_agreement"] == 0)  # without partners it is that of a slide and its tap
+    partners = {"other_pins": batch(1)["sheared_pins"], "swapped_pins": batch(2)["sheared_pins"]}
+    still, again = (task.validate(variables, given | partners) for _ in range(2))
+    np.testing.assert_array_equal(still["counterfactual"], again["counterfactual"])
+    assert np.all(still["code_agreement"] > 0)
+    alike = task.validate(variables, given | dict.fromkeys(partners, given["sheared_pins"]))
+    np.testing.assert_allclose(alike["counterfactual"], alike["reconstruction"], rtol=1e-5)
+    assert np.all(alike["code_agreement"] == 0)

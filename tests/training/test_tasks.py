@@ -126,8 +126,6 @@ def test_exchanged_codes_are_taught_if_partners_are_given():
     apart = same | {"swapped": batch["canonical"]}
     other = compute_terms(apart)["code_agreement"]
     assert np.all(named["code_agreement"] < 1e-6 * other)
-    still, again = (task.validate(variables, apart)["counterfactual"] for _ in range(2))
-    np.testing.assert_array_equal(still, again)
     # without partners the codes of a slide and of its tap agree
     alone = compute_terms(batch)
     assert set(alone) == {*PLAIN, "code_agreement"}

@@ -263,14 +263,11 @@ def test_skin_takes_pins(tmp_path):
     pins[0, :9] = np.nan
     skin = load_model("skin")
     loaded = {name: skin.load_network(name) for name in ("disentangled", "posenet")}
-    nets, weights, learnt = (
-        {name: getattr(network, part) for name, network in loaded.items()}
-        for part in ("net", "variables", "targets")
-    )
-    after, pose = jax.jit(make_forward(nets, learnt))(weights, pins)
+    weights = {name: network.variables for name, network in loaded.items()}
+    after, pose = jax.jit(make_forward(loaded))(weights, pins)
     found = session.run(["unsheared", "pose"], {"pins": pins})
     np.testing.assert_allclose(found[0], after, atol=1e-3)
-    expected = [pose[target.name] for target in learnt["posenet"]]
+    expected = [pose[target.name] for target in loaded["posenet"].targets]
     np.testing.assert_allclose(found[1].T, expected, atol=1e-3)
 
 
