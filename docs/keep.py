@@ -16,7 +16,7 @@ A result is stored on one line, with what pages show and quote (`shorten`). Left
 
 Nothing else changes, the command least of all. A new checksum seals what is left.
 
-A picture, NAME.png, is stored with a palette of 32 colours, at most 1000 px wide:
+A picture, NAME.png, is stored with a palette of 32 colours, at most 800 px wide:
 `python -m docs.keep NAME FILE.png`.
 """
 
@@ -47,7 +47,7 @@ DIGITS = 6
 GROUPS = {"metrics", "difference", "ablation"}  # of figures, in a cell
 SETTINGS = ("base", "settings")  # not rounded: a command must give them again
 COLOURS = 32
-MOST_WIDTH_PX = 1000
+MOST_WIDTH_PX = 800
 # names of figures in the cells of a sweep, without the test before the colon
 UNREAD = re.compile(
     r"pin_error/(true_slide/.*|tap/rms_mm|.*/(missed|extra)_per_image)"

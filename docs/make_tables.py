@@ -68,6 +68,7 @@ TABLES = {
         simulated_tables.tabulate_standard,
         simulated_tables.tabulate_recoveries,
         simulated_tables.tabulate_ridge,
+        simulated_tables.tabulate_shear_code,
         simulated_tables.tabulate_lambda_split,
         simulated_tables.tabulate_lambda_split_leaks,
         simulated_tables.tabulate_regularisation,

@@ -8,8 +8,7 @@ two slides to one pose agree, in every direction of the code over its variance. 
 reconstructs the slide from both, trains neither. The other rows leave out agreement, or all of it:
 the last has the paper's losses, and codes as large as the paper's.
 
-Expected: docs/results/parted_images.json, which is of an earlier form of agreement; 45 minutes per
-seed on a core.
+Expected: the figures are still to be measured; 45 minutes per seed on a core.
 """
 
 from dataclasses import replace

@@ -8,7 +8,7 @@ its own, and learns the two shifts of the slide as they are labelled. Three rows
 unsheared poses as exact as recorded.py's: a larger pose code, a longer training, and a PoseNet of
 taps whose predictions from the unsheared image should be the true pose.
 
-Expected: docs/results/parted_skin_images.json; 10 to 20 minutes per row on a core.
+Expected: the figures are still to be measured; 10 to 20 minutes per row on a core.
 """
 
 from dataclasses import replace

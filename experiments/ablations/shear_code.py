@@ -11,8 +11,10 @@ standard.py uses .3 of it. Everything else is as in standard.py, its data sets t
 Compare rows by `disentangled`. `difference/entangled` in a row is that row less the entangled
 network.
 
-Expected: the figures are still to be measured. Per seed four networks are trained: three that
-unshear with codes, and an entangled one; a PoseNet, which all rows share, reads them.
+Expected: docs/results/shear_code.json. Without a shear code MS-SSIM is a little higher and poses
+are as exact; with L_rec at full weight MS-SSIM is a little lower. Per seed four networks are
+trained: three that unshear with codes, and an entangled one; a PoseNet, which all rows share, reads
+them. A row takes 15 to 25 minutes on a core.
 """
 
 from dataclasses import replace
