@@ -115,7 +115,8 @@ def tabulate_standard_first() -> str:
 def tabulate_shear_code() -> str:
     """Tabulate likeness, pins and errors with a shear code and without, as standard.py trains."""
     lines = start_table(
-        "| unsheared by | MS-SSIM@4 | pins, px rms | x, mm | yaw, deg | edge distance, mm | edge angle, deg |"
+        "| unsheared by | MS-SSIM@4 | pins, px rms | x, mm | yaw, deg "
+        "| edge distance, mm | edge angle, deg |"
     )
     cells = load_cells("shear_code")
     networks = [("entangled", "entangled", cells[0])]

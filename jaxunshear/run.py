@@ -259,6 +259,6 @@ def _print_recordings(results: Results, folder: Path) -> None:
         unsheared = similar[choose_main_kind(similar)]["overall"]
         print(
             f"{results.metric['ms_ssim']} with the partner: "
-            f"{sheared:.3f} as felt, {unsheared:.3f} unsheared"
+            f"{sheared:.3f} sheared, {unsheared:.3f} unsheared"
         )
     print(f"results: {folder / 'results.json'}")

@@ -7,7 +7,7 @@ of LOSSES, or one function with `@register_loss` in an experiment file:
 
     @register_loss("smooth", modalities=("images",))
     def compute_smooth_loss(inputs):  # see training/losses.py
-        return jnp.mean(jnp.square(jnp.diff(inputs.canonical, axis=1)), (1, 2, 3))
+        return jnp.mean(jnp.square(jnp.diff(inputs.unsheared, axis=1)), (1, 2, 3))
 """
 
 import pkgutil

@@ -64,9 +64,8 @@ class ContactScores(NamedTuple):
 
     @property
     def poses(self) -> np.ndarray:
-        """Which pose (N,) each contact belongs to; a recorded one has a pose of its own."""
-        numbers = self.labels["number" if "number" in self.labels else "pose_id"]
-        return number_poses(self.labels["stimulus"], numbers)
+        """Which pose (N,) each contact belongs to: slides to one pose are drawn together."""
+        return number_poses(self.labels["stimulus"], self.labels["pose_id"])
 
 
 class Scorer(NamedTuple):

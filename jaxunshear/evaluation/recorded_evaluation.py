@@ -50,7 +50,7 @@ from jaxunshear.training.examples import FRAME, HelperLoader
 from jaxunshear.training.provenance import check_unseen
 
 KEPT_SLIDES = 72  # slides whose pins are detected, and from which the montage is chosen
-TAP_LABELS = ("pose", "pose_id", "stimulus", "number", "sure")
+TAP_LABELS = ("pose", "pose_id", "stimulus", "sure")
 SLIDE_LABELS = (*TAP_LABELS, "move")
 
 

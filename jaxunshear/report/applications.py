@@ -13,7 +13,7 @@ from jaxunshear.report.html import format_number, format_with_interval
 from jaxunshear.report.wording import section
 from jaxunshear.results.record_files import find_results_folder
 
-KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
+KINDS = {"tap": "tap", "sheared": "sheared", "untouched": "untouched"} | {
     name: title for name, title in METHOD_TITLES.items() if "unsheared" in title
 }
 

@@ -93,7 +93,7 @@ def _build_parts(results: Results, words: Wording, parts: Parts | None, by: str)
     kind, names = choose_main_kind(results.pose_mae), words.digits
     if kind == "sheared":
         return Markup()
-    head = [f"as felt{ARROW}unsheared, by {by}", *map(wording.format_heading, names)]
+    head = [f"sheared{ARROW}unsheared, by {by}", *map(wording.format_heading, names)]
     rows = []
     for name, part in (parts or {}).items():
         if part and kind in part.pose_recovery:

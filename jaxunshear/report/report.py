@@ -144,5 +144,5 @@ def _build_recovery_cards(results: Results, words: Wording) -> Iterator[Markup]:
         quantities = words.main_targets
         values = ", ".join(format_number(recovery[quantity]) for quantity in quantities)
         names = ", ".join(map(wording.name_quantity, quantities))
-        note = f"{names}; 1 is as good as taps, 0 as bad as slides as felt"
+        note = f"{names}; 1 is as good as taps, 0 as bad as sheared images"
         yield html.card("Recovery", "", values, note)

@@ -26,7 +26,7 @@ class PairInputs(NamedTuple):
 
     batch: Batch
     outputs: Reconstruction  # as the decoders return them: logits of images, or pins
-    canonical: Array  # the unsheared images or pins
+    unsheared: Array  # images or pins: what the network made of the slides
     net: Net
     variables: Variables
     training: Training
@@ -59,7 +59,7 @@ def compute_patch_term(inputs: PairInputs) -> Array:
     """Compute L_patch over random crops."""
     assert inputs.key is not None  # it is no loss of validation
     size, crops, side = inputs.net.size, inputs.training.crops, inputs.training.crop_px
-    image = inputs.canonical
+    image = inputs.unsheared
     corners = distances.sample_corners(inputs.key, len(image), crops, size, side)
     counts = distances.count_crop_coverage(corners, size, side)
     return distances.compute_patch_loss(image, inputs.tap, counts)
@@ -82,7 +82,7 @@ def compute_pose_tap_term(inputs: PairInputs) -> Array:
 
 def _compare_pose(inputs: PairInputs, target: Array) -> Array:
     weights = posenet.list_output_weights(inputs.targets)
-    outputs = _get(inputs.teacher)(inputs.canonical)
+    outputs = _get(inputs.teacher)(inputs.unsheared)
     return inputs.modality.compute_pose_loss(outputs, target, weights)
 
 

@@ -42,7 +42,7 @@ class Task:
     terms: Callable[[Tree, Batch, Array], tuple[Terms, Tree]]  # of variables, batch and key
     weights: dict[str, float]
     validate: Callable[[Tree, Batch], Terms]
-    rank: str  # the validation term that the best model is chosen by
+    selection_term: str  # the validation term that the best model is chosen by
     slide_targets: Targets = ()  # what z_s learns of the slide
 
 
@@ -89,11 +89,11 @@ def make_unshear_task(
 
     def run(variables: Variables, batch: Batch, key: Array | None) -> tuple[PairInputs, Tree]:
         batch = modality.prepare(batch)
-        partners = _choose_partners(functions, net, training, batch)
+        partners = _choose_swap_partners(functions, net, training, batch)
         outputs, statistics = reconstruct(net, variables, batch[modality.sheared], key, *partners)
-        canonical = modality.to_output(outputs.canonical)
+        unsheared = modality.to_output(outputs.canonical)
         inputs = PairInputs(
-            batch, outputs, canonical, net, variables, training, modality, *supervision, key
+            batch, outputs, unsheared, net, variables, training, modality, *supervision, key
         )
         return inputs, statistics
 
@@ -101,7 +101,7 @@ def make_unshear_task(
     return replace(task, slide_targets=supervision.slides)
 
 
-def _choose_partners(
+def _choose_swap_partners(
     functions: NetworkFunctions, net: Net, training: Training, batch: Batch
 ) -> tuple[Array | None, Array | None]:
     """Choose inputs at the same poses and after the same slides, if codes are exchanged."""

@@ -85,8 +85,8 @@ class TrainingProgress:
     def step(self) -> int:
         return self.history[-1]["step"] if self.history else 0
 
-    def find_best_loss(self, rank: str) -> float:
-        losses = [_rank_loss(line["validation"][rank]) for line in self.history]
+    def find_best_loss(self, term: str) -> float:
+        losses = [_replace_nan(line["validation"][term]) for line in self.history]
         return min(losses, default=math.inf)
 
 
@@ -238,9 +238,9 @@ def _write_checkpoint(
     run: TrainingRun, state: State, progress: TrainingProgress, step: int, scores: Json
 ) -> None:
     """Add a line to the history, and write a checkpoint that holds it."""
-    rank = run.task.rank
-    loss = _rank_loss(scores["validation"][rank])
-    if progress.best_step == 0 or loss < progress.find_best_loss(rank):
+    term = run.task.selection_term
+    loss = _replace_nan(scores["validation"][term])
+    if progress.best_step == 0 or loss < progress.find_best_loss(term):
         progress.best_step = step
     counts = {
         "step": step,
@@ -255,12 +255,13 @@ def _write_checkpoint(
 
 def _finish(run: TrainingRun, progress: TrainingProgress, parameters: int) -> TrainingSummary:
     """Write the summary. Raises UserError if no validation loss was finite."""
-    task, devices, best_loss = run.task, run.devices, progress.find_best_loss(run.task.rank)
+    task, devices = run.task, run.devices
+    best_loss = progress.find_best_loss(task.selection_term)
     if math.isinf(best_loss):
         raise UserError(
-            f"training {run.folder}: its validation loss ({task.rank}) was never finite; check for "
-            "broken data in the validation split, or lower learning_rate, and train in another "
-            "folder"
+            f"training {run.folder}: its validation loss ({task.selection_term}) was never finite; "
+            "check for broken data in the validation split, or lower learning_rate, and train in "
+            "another folder"
         )
     images = run.steps * run.training.batch
     summary = TrainingSummary(
@@ -293,7 +294,7 @@ def get_compile_options() -> dict[str, int] | None:
     return {"xla_backend_optimization_level": 1} if jax.default_backend() == "cpu" else None
 
 
-def _rank_loss(loss: float | None) -> float:
+def _replace_nan(loss: float | None) -> float:
     """Rank a loss that was not finite last."""
     return math.inf if loss is None else loss
 

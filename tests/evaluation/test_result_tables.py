@@ -127,6 +127,12 @@ def test_interval_width_is_the_standard_error_of_independent_poses():
     assert often == pytest.approx(once)
 
 
+def test_recorded_slides_to_one_pose_are_drawn_together():
+    contacts = as_contacts({}, np.zeros(4, int), np.array([3, 9, 3, 9]))
+    contacts.labels["number"] = np.arange(4)  # each is another contact
+    np.testing.assert_array_equal(contacts.poses, [0, 1, 0, 1])
+
+
 def test_the_same_pose_number_of_two_stimuli_is_two_poses():
     scores = {name: score[:2] for name, score in made_up().scores.items()}
     scores["ms_ssim/sheared"] = np.array([0.0, 1.0])

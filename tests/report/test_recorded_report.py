@@ -151,7 +151,7 @@ def test_of_taps_and_slides_all_is_reported(tmp_path, read_report):
         f"{results['baselines']['pose_chance']['Rz_deg']:.2f}",
         "a recovery of 0.91 in x and 0.89 in yaw",
         "unsheared against partner",
-        "as felt \u2192 unsheared, by z",
+        "sheared \u2192 unsheared, by z",
         "posenet 0.04 ms",
     ):
         assert words in text, words
@@ -290,5 +290,5 @@ def test_the_terminal_is_reported_in_a_few_lines(tmp_path, capsys):
         assert rows[row] == [f"{value:.3g}" for value in values]
     tested = "test, same session, random split: 24 taps, 24 slides"
     assert lines[-3] == f"{tested}; left out: 0 taps and 0 slides were not understood"
-    assert "0.683 as felt, 0.979 unsheared" in lines[-2]
+    assert "0.683 sheared, 0.979 unsheared" in lines[-2]
     assert lines[-1] == f"results: {tmp_path / 'results.json'}"
