@@ -104,14 +104,15 @@ def format_note(names: Iterable[str], page: str) -> str:
     stale = read_stale()
     sentences = []
     for name in names:
-        words = [f"[{name}.json]({folder}/{name}.json): {describe_origin(read_result(name))}"]
+        origin = describe_origin(read_result(name))
+        words = [origin] if origin else []
         if name in stale.not_kept:
             words.append(f"figures committed in {stale.not_kept[name]}")
         if name in stale.changed:
             words.append("its code has changed since")
         if name in stale.settings:
             words.append("its command gives other settings today")
-        sentences.append(", ".join(words))
+        sentences.append(f"[{name}.json]({folder}/{name}.json): {', '.join(words)}")
     return f"{NOTE}{'; '.join(sentences)}.</sub>"
 
 

@@ -223,22 +223,6 @@ def tabulate_lambda_split() -> str:
     return _tabulate_grid(format_cell)
 
 
-def tabulate_lambda_split_leaks() -> str:
-    """Tabulate R2 of MLP probes over the same grid: pose from z_s, slide from z_p.
-
-    They are medians of the seeds, as a probe that is off on a few contacts has any R2 below 1.
-    """
-
-    def format_cell(cell: CellResult) -> str:
-        leaks = [
-            median(cell.ablation[f"{name} (mlp)/r2"].per_seed.values())
-            for name in ("pose from z_s", "slide from z_p")
-        ]
-        return ", ".join(f"{leak:.2f}" for leak in leaks)
-
-    return _tabulate_grid(format_cell)
-
-
 def _tabulate_grid(format_cell: Callable[[CellResult], str]) -> str:
     """Put each cell of the sweep lambda_split in its place."""
     table: dict[str, list[str]] = {}
