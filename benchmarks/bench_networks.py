@@ -23,7 +23,7 @@ from benchmarks.training_steps import init_variables, make_noise_images, make_ti
 from jaxunshear.apps.export.parts import ExportedModel
 from jaxunshear.config.networks import DISENTANGLED, POSENET, PoseNet, UnshearNet
 from jaxunshear.config.training import Training
-from jaxunshear.config.types import check_rules
+from jaxunshear.config.types import raise_first_problem
 from jaxunshear.environment import FAST, PLAIN, keep_freed_memory
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
@@ -111,7 +111,7 @@ def _make_network(size: int, batch: int) -> UnshearNet:
     if batch < 1:
         raise UserError(f"--batch {batch}: use at least 1")
     net = UnshearNet(size=size)
-    check_rules(net, "UnshearNet")
+    raise_first_problem(net, "UnshearNet")
     return net
 
 

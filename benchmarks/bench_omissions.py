@@ -22,7 +22,7 @@ from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import DISENTANGLED, ENTANGLED, POSENET, PoseNet, UnshearNet
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.config.training import Training
-from jaxunshear.config.types import check_rules
+from jaxunshear.config.types import raise_first_problem
 from jaxunshear.environment import keep_freed_memory
 from jaxunshear.evaluation.network_outputs import make_run
 from jaxunshear.files import Json
@@ -81,7 +81,7 @@ def bench_needs(
     """
     keep_freed_memory()
     net = UnshearNet(size=size or SIZE, widths=widths)
-    check_rules(net, "UnshearNet")
+    raise_first_problem(net, "UnshearNet")
     cases = list(_list_cases(net))
     rows = []
     with Progress("bench needs", len(cases), unit="cases") as progress:

@@ -225,20 +225,23 @@ def _compute_recovery(errors: dict[str, float], table: str, target: str) -> floa
     return (sheared - errors[f"{table}.unsheared.{target}"]) / (sheared - tap)
 
 
-def tabulate_rivals(name: str) -> str:
-    """Tabulate errors of unsheared and of directly learnt slides, by networks of the same make."""
+def tabulate_rivals(name: str, modality: str = "pins", label: str = "") -> str:
+    """Tabulate errors of unsheared and of directly learnt slides, by networks of the same make.
+
+    `label` is that of a sweep of one cell.
+    """
     keys = {
         "unsheared": "pose/disentangled",
         "direct": "pose/sheared_learnt",
         "unsheared - direct": "difference/sheared_learnt",
     }
     heads = [f"{way}: {_name_target(target)}" for way in keys for target in EDGE_TARGETS]
-    lines = start_table(format_line("recorded, pins", heads))
+    lines = start_table(format_line(f"recorded, {modality}", heads))
     for cell in load_cells(name):
         errors = []
         for key in keys.values():
             errors += format_figures(cell.metrics, EDGE_TARGETS, f"{key}/")
-        lines.append(format_line(cell.label, errors))
+        lines.append(format_line(label or cell.label, errors))
     return "\n".join(lines)
 
 

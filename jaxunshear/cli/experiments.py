@@ -43,7 +43,7 @@ STAGES = {
 DEFAULT_RAY_CORES = 2  # for each row or chunk
 
 
-def run_stages(arguments: argparse.Namespace, command: str) -> int:
+def handle_stages(arguments: argparse.Namespace, command: str) -> int:
 
     ray_options = _read_engine_options(arguments)
     if arguments.command == "fit":
@@ -245,7 +245,7 @@ OPTIONS: dict[str, tuple[str, tuple[Option, ...]]] = {
         "all of the next three and the report; continues where a stopped run left off",
         (*BASE, json_file(), *SIMULATION),
     ),
-    "data": ("simulate the two data sets", (*BASE, *SIMULATION)),
+    "data": ("make the data sets: simulate contacts, or read recordings", (*BASE, *SIMULATION)),
     "train": (
         "train the networks",
         (*BASE, option("--network", "NAME", "only this one of the experiment's (default: all)")),
@@ -278,7 +278,7 @@ COMMANDS = tuple(
     Command(
         name,
         text,
-        sweep if name == "sweep" else run_stages,
+        sweep if name == "sweep" else handle_stages,
         options,
         takes_fields="--taps DIR --slides DIR" if name == "fit" else "FILE",
         is_resumable=name != "evaluate",

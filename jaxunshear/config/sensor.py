@@ -25,7 +25,7 @@ from jaxunshear.config.types import (
     Problem,
     Share,
     between,
-    check_rules,
+    raise_first_problem,
 )
 from jaxunshear.errors import UserError
 
@@ -196,7 +196,7 @@ def get_sensor(name: str) -> Sensor:
 
 def check_sensor(sensor: Sensor) -> None:
     """Raise UserError, naming the field, for the first value that no sensor can have."""
-    check_rules(sensor, f"sensor '{sensor.name}'")
+    raise_first_problem(sensor, f"sensor '{sensor.name}'")
 
 
 Pixels = Annotated[int, between(16, 4096)]

@@ -1,4 +1,4 @@
-"""What settings are made of: frozen dataclasses with typed fields and rules of their own.
+"""What settings are made of: frozen dataclasses with typed fields, which find their own problems.
 
 Imports nothing of this package but errors.
 """
@@ -73,7 +73,7 @@ def find_problems(settings: object, group: str = "") -> Iterator[Problem]:
             yield from find_problems(values[field], f"{group}{field}.")
 
 
-def check_rules(settings: object, what: str) -> None:
+def raise_first_problem(settings: object, what: str) -> None:
     """Raise UserError for the first problem of `settings`, called `what`."""
     for field, remedy in find_problems(settings):
         raise UserError(f"{what}: {field} = {get_value(settings, field)}: {remedy}")

@@ -38,7 +38,7 @@ def take_rows(rows: Batch, selected: np.ndarray | np.bool | slice) -> Batch:
     return {name: value[selected] for name, value in rows.items()}
 
 
-def number_poses(rows: Batch) -> Batch:
+def make_pose_ids_unique(rows: Batch) -> Batch:
     """Give each contact a pose number of its own: none is paired with another's partner."""
     return rows | {"pose_id": rows["number"]}
 
@@ -67,7 +67,7 @@ def pair_with_taps(slides: Batch, taps: Batch, targets: Targets, method: str) ->
         "gap": compute_pose_gaps(slides["pose"], taps["pose"][row]).astype(np.float32),
         "weight": weight,
     }
-    return number_poses(pairs) if method == "nearest" else pairs
+    return make_pose_ids_unique(pairs) if method == "nearest" else pairs
 
 
 def pair_with_renderings(
@@ -88,7 +88,7 @@ def pair_with_renderings(
     if taps is not None and warp is not None:
         row, _ = find_nearest(targets, slides["pose"], taps["pose"])
         partner["canonical"] = warp(taps["image"][row], pins - render(taps["pose"][row]))
-    return number_poses(slides | partner | make_full_pairs(len(pins)))
+    return make_pose_ids_unique(slides | partner | make_full_pairs(len(pins)))
 
 
 def make_full_pairs(count: int) -> Batch:

@@ -1,7 +1,7 @@
 """Read examples in batches that depend on the seed and the step alone.
 
 Training batches are shuffled, and paired anew: each slide with any tap at its pose. Images are
-shifted by processes of grain, if `shift` is above zero.
+shifted if `shift` is above zero. grain draws the rows and the shifts.
 """
 
 import functools
@@ -20,11 +20,16 @@ from jaxunshear.errors import UserError
 IMAGES = ("image", "canonical", "sheared", "other", "swapped")
 PINS = ("pins", "canonical_pins", "sheared_pins", "other_pins", "swapped_pins")
 TAP_FIELDS = ("canonical", "canonical_pins", "tap_id", "tap_depth_mm")  # what re-pairing exchanges
-# Partners, for slides that poses share: OTHER is another pose after another slide, SWAPPED the
-# example's own pose after that other slide. By field, the stored field that they are taken from.
-SHEARED_PINS, OTHER, SWAPPED = PINS[2:]
-IMAGE, OTHER_IMAGE, SWAPPED_IMAGE = IMAGES[2:]
-PARTNERS = {OTHER: SHEARED_PINS, SWAPPED: SHEARED_PINS, OTHER_IMAGE: IMAGE, SWAPPED_IMAGE: IMAGE}
+# Swap partners, for slides that poses share: "other" is another pose after another slide, "swapped"
+# the example's own pose after that other slide. By field, the stored field they are taken from.
+SHEARED_PINS, OTHER_PINS, SWAPPED_PINS = PINS[2:]
+SHEARED_IMAGE, OTHER_IMAGE, SWAPPED_IMAGE = IMAGES[2:]
+PARTNERS = {
+    OTHER_PINS: SHEARED_PINS,
+    SWAPPED_PINS: SHEARED_PINS,
+    OTHER_IMAGE: SHEARED_IMAGE,
+    SWAPPED_IMAGE: SHEARED_IMAGE,
+}
 Batch = dict[str, np.ndarray]
 
 

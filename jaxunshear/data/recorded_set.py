@@ -19,7 +19,7 @@ from jaxunshear.config.targets import (
 )
 from jaxunshear.data import pairing
 from jaxunshear.data.chunks import unpack_bits
-from jaxunshear.data.pairing import PoseEstimator, SlideSimulator, TapRenderer, number_poses
+from jaxunshear.data.pairing import PoseEstimator, SlideSimulator, TapRenderer, make_pose_ids_unique
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_frames import UnstoredSet
 from jaxunshear.data.stored_sets import SetReader
@@ -81,7 +81,7 @@ class RecordedSet:
 
         Each has a pose number of its own.
         """
-        return Reader(lambda split: number_poses(self.read_labelled_taps(split)), self.size)
+        return Reader(lambda split: make_pose_ids_unique(self.read_labelled_taps(split)), self.size)
 
     def read_labelled_taps(self, split: str) -> Batch:
         """Read all labelled taps of a split, images at one bit a pixel."""
@@ -105,7 +105,7 @@ class RecordedSet:
                 taps = self.read_labelled_taps(split)
                 still = _rename_as_slides(taps | {"move": np.zeros_like(taps["pose"])})
                 slides = _concatenate(slides, still)
-            return number_poses(slides)
+            return make_pose_ids_unique(slides)
 
         return Reader(load, self.size)
 
@@ -123,7 +123,7 @@ class RecordedSet:
 
         Args:
             targets: What "nearest" compares.
-            render: Renders the partners of "rendered".
+            render: Renders the partners of "rendered", and of test slides of "simulated".
             images: Without them partners are pins alone.
             estimate: Gives training slides without a label a pose; without it they are left out.
             simulate: For "simulated", all slides but the test's are simulated, each paired with the
@@ -185,7 +185,7 @@ class RecordedSet:
             motion = np.nan_to_num(sheared_pins - batch["canonical_pins"])
             batch["canonical"] = taps["image"][row]
             batch["sheared"] = self._make_image_warper()(batch["canonical"], motion)
-        return number_poses(batch)
+        return make_pose_ids_unique(batch)
 
     def _make_image_warper(self) -> pairing.ImageWarper:
         rest, spacing_px = np.array(self.frame["place_px"]), self.frame["spacing_px"]

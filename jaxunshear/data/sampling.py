@@ -14,7 +14,7 @@ from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.data import DataSettings, PairedData, PoseData
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.splits import SPLITS, assign_splits
-from jaxunshear.config.types import check_rules
+from jaxunshear.config.types import raise_first_problem
 from jaxunshear.simulator.scene import (
     Scenes,
     compute_edge_labels,
@@ -42,7 +42,7 @@ class ContactSamples(NamedTuple):
 def check_settings(settings: DataSettings, sensor: Sensor = TACTIP_331) -> None:
     """Raise UserError, by field, for settings from which no set can be made."""
     compute_config_name(settings, sensor)
-    check_rules(settings, settings.set_name)
+    raise_first_problem(settings, settings.set_name)
 
 
 def _make_generator(seed: int, stimulus: str, purpose: str) -> np.random.Generator:

@@ -2,7 +2,7 @@
 
 >>> source = open_source(experiment)
 >>> source.list_sets()  # to be made before anything is trained
->>> examples = source.open_examples(config, data_dir, inputs)
+>>> examples = source.open_examples(config, data_dir, helpers)
 >>> examples.reader.train_batches(batch=8, seed=0, shift=0.0, fields=("canonical", "sheared"))
 
 What differs between simulated contacts, recorded ones and others is in their classes. A further one

@@ -27,8 +27,8 @@ from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import pack_bits
 from jaxunshear.data.reader import (
     IMAGES,
-    OTHER,
     OTHER_IMAGE,
+    OTHER_PINS,
     PARTNERS,
     Batch,
     DrawnRows,
@@ -312,6 +312,6 @@ class FactorialReader(SetReader):
         partners, stored = self.sample_partners(split, rows, *step), self.rows(split)
         batch: Batch = {}
         for name in partner_fields:
-            source = partners.other if name in (OTHER, OTHER_IMAGE) else partners.swapped
+            source = partners.other if name in (OTHER_PINS, OTHER_IMAGE) else partners.swapped
             batch[name] = stored[PARTNERS[name]][source]
         return self._unpack_images(batch)

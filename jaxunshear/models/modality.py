@@ -13,7 +13,7 @@ from jax import Array
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import InputKind
-from jaxunshear.data.reader import OTHER, OTHER_IMAGE, SWAPPED, SWAPPED_IMAGE
+from jaxunshear.data.reader import OTHER_IMAGE, OTHER_PINS, SWAPPED_IMAGE, SWAPPED_PINS
 from jaxunshear.files import Json
 from jaxunshear.models import distances, pin_networks
 from jaxunshear.models.weights import AnyArray, Net, Variables
@@ -94,8 +94,8 @@ PINS = Modality(
     single="pins",
     canonical="canonical_pins",
     sheared="sheared_pins",
-    other=OTHER,
-    swapped=SWAPPED,
+    other=OTHER_PINS,
+    swapped=SWAPPED_PINS,
     unit="px",
     needs_identified_pins=True,
     scale=lambda pins: pins,

@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from jaxunshear.config import networks
 from jaxunshear.config.targets import Targets
-from jaxunshear.config.types import check_rules
+from jaxunshear.config.types import raise_first_problem
 from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import networks as fast
 from jaxunshear.models.layers import INIT, Down, Same
@@ -57,7 +57,7 @@ def init(net: networks.PoseNet, outputs: int, key: Array) -> Variables:
 
     Raises UserError if `size` and `widths` do not fit the network.
     """
-    check_rules(net, "PoseNet")
+    raise_first_problem(net, "PoseNet")
     images = jnp.zeros((1, net.size, net.size, 1))
     with layer_choice.use_layers(layer_choice.FAST):  # for the same weights with any layers
         return dict(_make_network(net, outputs).init(key, images, True))

@@ -43,7 +43,7 @@ class NetworkFunctions:
     """
 
     kind: str  # its name in model.json
-    # a frozen dataclass, which may declare `rules`; over images it has the field `size`, px
+    # a frozen dataclass, which may have `find_problems`; over images it has the field `size`, px
     settings: type
     modality: Modality
     init: Callable[[Net, InitFacts, Array], Variables]
@@ -56,8 +56,8 @@ class NetworkFunctions:
     decode_canonical: Callable[[Net, Variables, Array], Array] | None = None
     decode_sheared: Callable[[Net, Variables, Array, Array], Array] | None = None
     has_shear_code: Callable[[Net], bool] = lambda net: False
-    # numbers of the shear code that the slide can be taught to; 0 for codes that have places, which
-    # are not exchanged between slides either
+    # numbers of the shear code that the slide can be taught to; 0 for spatial codes, which are
+    # not exchanged between slides either
     count_slide_numbers: Callable[[Net], int] = lambda net: 0
     predict: Callable[[Net, Variables, Array], Array] | None = None
     # inputs, angle by which they were turned (rad) -> outputs (B, K) and new running statistics

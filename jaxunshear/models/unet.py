@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.config import networks
-from jaxunshear.config.types import check_rules
+from jaxunshear.config.types import raise_first_problem
 from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import networks as fast
 from jaxunshear.models.layers import Down, Last, Up
@@ -45,7 +45,7 @@ def _make_network(net: networks.UNet) -> nn.Module:
 
 def init(net: networks.UNet, key: Array) -> Variables:
     """Make fresh variables. Raises UserError if `size` and `widths` do not fit each other."""
-    check_rules(net, "U-Net")
+    raise_first_problem(net, "U-Net")
     side = 2 ** len(net.widths)
     with layer_choice.use_layers(layer_choice.FAST):  # for the same weights with any layers
         return dict(_make_network(net).init(key, jnp.zeros((1, side, side, 1)), True))

@@ -26,7 +26,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxunshear.config.networks import UnshearNet
-from jaxunshear.config.types import check_rules
+from jaxunshear.config.types import raise_first_problem
 from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import networks as fast
 from jaxunshear.models.layers import Down, Last, Same, Up, VectorCode, VectorDecoder
@@ -135,7 +135,7 @@ class Network(nn.Module):
 
 def init(net: UnshearNet, key: Array) -> Variables:
     """Make fresh variables. Raises UserError if `size` and `widths` do not fit each other."""
-    check_rules(net, "UnshearNet")
+    raise_first_problem(net, "UnshearNet")
     # the shapes of networks whose codes are not apart do not depend on the image's
     side = net.size if net.apart else 2 ** len(net.widths)
     with layer_choice.use_layers(layer_choice.FAST):  # for the same weights with any layers

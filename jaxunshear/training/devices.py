@@ -78,8 +78,8 @@ def prefetch(
 
     Close the generator to end the thread. Errors of `batches` and `put` are raised here. A thread
     not only saves the time to draw a batch: it has memory of its own. The intermediate arrays of a
-    step are one large block of the calling thread's memory (`allocator.py`), which the next step
-    can use again unless part of it has been taken since.
+    step are one large block of the calling thread's memory (`environment.keep_freed_memory`), which
+    the next step can use again unless part of it has been taken since.
     """
 
     def draw() -> DeviceBatch:

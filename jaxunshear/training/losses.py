@@ -17,7 +17,8 @@ from jaxunshear.models.modality import Batch, Modality
 from jaxunshear.models.reconstruction import Reconstruction
 from jaxunshear.models.weights import Net, Variables
 
-TAPS, ONE, ANOTHER = "tap_pins", "one_pins", "another_pins"  # fields that few_pairs adds
+# fields that `examples.add_single_contacts` adds
+TAPS, ONE, ANOTHER = "tap_pins", "one_pins", "another_pins"
 T = TypeVar("T")
 
 
@@ -92,7 +93,7 @@ def compute_counterfactual_term(inputs: PairInputs) -> Array:
 
 
 def compute_code_agreement_term(inputs: PairInputs) -> Array:
-    """Return the difference of the pose codes of two contacts at one pose."""
+    """Return how far apart the pose codes of two contacts at one pose are, over their variance."""
     return _get(inputs.outputs.disagreement)
 
 
@@ -144,7 +145,7 @@ def compute_rendered_pose_term(inputs: PoseInputs) -> Array:
     estimates their poses less well.
     """
     key, render, targets = inputs.key, inputs.render, inputs.targets
-    assert key is not None and render is not None  # `make_pin_posenet_task` sees to it
+    assert key is not None and render is not None  # `make_posenet_task` sees to it
     poses = posenet.sample_outputs(targets, len(inputs.scaled_poses), jax.random.fold_in(key, 3))
     pins = pin_networks.add_noise(inputs.net, render(poses), jax.random.fold_in(key, 4))
     outputs = pin_networks.predict(inputs.net, inputs.variables, pins)
@@ -164,5 +165,5 @@ def _unshear_noisy(inputs: PairInputs, pins: Array, number: int) -> Array:
 
 
 def _get(value: T | None) -> T:
-    assert value is not None  # `LossSpec.parts` and the rules of the settings see to it
+    assert value is not None  # `LossSpec.parts` and the checks of the settings see to it
     return value

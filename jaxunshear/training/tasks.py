@@ -19,7 +19,7 @@ from jaxunshear.config.losses import LOSSES, SUPERVISION, LossSpec, Role, get_lo
 from jaxunshear.config.networks import PinRenderer
 from jaxunshear.config.targets import Targets, read_true_values
 from jaxunshear.config.training import Training, uses_teacher
-from jaxunshear.config.types import check_rules
+from jaxunshear.config.types import raise_first_problem
 from jaxunshear.errors import UserError
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import PINS, Batch
@@ -72,7 +72,7 @@ def make_unshear_task(
     """Make the task of a network that unshears.
 
     Codes that can be exchanged take partners where poses share slides, the fields `other` and
-    `swapped` of the modality, see `data.reader`; elsewhere the pose code of a slide is to agree
+    `swapped` of the modality (`FactorialReader`); elsewhere the pose code of a slide is to agree
     with its tap's. The loss "tap_identity" needs {"tap_pins"} (T, P, 2) px, "consistency"
     {"one_pins", "another_pins"} (A, P, 2) px.
 
@@ -203,7 +203,7 @@ def _make_task(
 ) -> Task:
     """Make the task of a network that `run` runs, without a key in validation."""
     functions, specs = get_functions(net), _list_losses(training, role)
-    check_rules(net, functions.kind)
+    raise_first_problem(net, functions.kind)
     facts = facts._replace(outputs=posenet.count_outputs(targets))
 
     def compute_terms(variables: Variables, batch: Batch, key: Array | None) -> tuple[Terms, Tree]:

@@ -10,12 +10,12 @@ from jaxunshear.config import configs
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.reader import (
-    IMAGE,
-    OTHER,
     OTHER_IMAGE,
+    OTHER_PINS,
+    SHEARED_IMAGE,
     SHEARED_PINS,
-    SWAPPED,
     SWAPPED_IMAGE,
+    SWAPPED_PINS,
     shift_examples,
 )
 from jaxunshear.data.sampling import find_slide_leaders, sample_pairs
@@ -118,39 +118,43 @@ def reader(sensor, engine, paired, tmp_path):
 
 
 def test_batches_hold_partners_and_go_on_from_any_step(reader):
-    fields = (SHEARED_PINS, OTHER, SWAPPED, "pose", "pose_id")
+    fields = (SHEARED_PINS, OTHER_PINS, SWAPPED_PINS, "pose", "pose_id")
     batches = reader.train_batches(8, 3, 0.0, fields)
     first, second = next(batches(0)), next(batches(1))
     full = list(zip(range(2), batches(0), strict=False))
     for name in fields:
         np.testing.assert_array_equal(full[0][1][name], first[name])
         np.testing.assert_array_equal(full[1][1][name], second[name])
-    assert set(first) == set(fields) and first[OTHER].shape == first[SHEARED_PINS].shape
+    assert set(first) == set(fields) and first[OTHER_PINS].shape == first[SHEARED_PINS].shape
     stored = reader.rows("train")[SHEARED_PINS]
-    for name in (OTHER, SWAPPED):
+    for name in (OTHER_PINS, SWAPPED_PINS):
         found = [np.flatnonzero((stored == pins).all(axis=(1, 2))) for pins in first[name]]
         assert all(len(each) for each in found)
-    assert np.any(first[OTHER] != first[SHEARED_PINS])
-    assert np.any(next(reader.train_batches(8, 4, 0.0, fields)(0))[OTHER] != first[OTHER])
+    assert np.any(first[OTHER_PINS] != first[SHEARED_PINS])
+    assert np.any(next(reader.train_batches(8, 4, 0.0, fields)(0))[OTHER_PINS] != first[OTHER_PINS])
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.1])
 def test_images_have_the_partners_of_their_pins_and_shift_with_them(reader, shift):
-    fields = (SHEARED_PINS, OTHER, SWAPPED, IMAGE, OTHER_IMAGE, SWAPPED_IMAGE)
+    fields = (SHEARED_PINS, OTHER_PINS, SWAPPED_PINS, SHEARED_IMAGE, OTHER_IMAGE, SWAPPED_IMAGE)
     batch = next(reader.train_batches(8, 3, shift, fields)(0))
     stored = reader.rows("train")
-    size = batch[IMAGE].shape[1]
+    size = batch[SHEARED_IMAGE].shape[1]
     moved = set()
-    for pins, images in ((SHEARED_PINS, IMAGE), (OTHER, OTHER_IMAGE), (SWAPPED, SWAPPED_IMAGE)):
+    for pins, images in (
+        (SHEARED_PINS, SHEARED_IMAGE),
+        (OTHER_PINS, OTHER_IMAGE),
+        (SWAPPED_PINS, SWAPPED_IMAGE),
+    ):
         for place, image, own in zip(batch[pins], batch[images], batch[SHEARED_PINS], strict=True):
             off = place - stored[SHEARED_PINS]
             steps = np.round(off[:, :1])
             # moved by full pixels
             (row,) = np.flatnonzero(np.all(np.abs(off - steps) < 1e-4, axis=(1, 2)))
             offset = steps[row, 0].astype(int)
-            plain = reader.take("train", np.array([row]), (IMAGE,))[IMAGE]
+            plain = reader.take("train", np.array([row]), (SHEARED_IMAGE,))[SHEARED_IMAGE]
             np.testing.assert_array_equal(
-                shift_examples({IMAGE: plain}, offset[None])[IMAGE][0], image
+                shift_examples({SHEARED_IMAGE: plain}, offset[None])[SHEARED_IMAGE][0], image
             )
             assert np.abs(offset).max() <= round(shift * size)
             moved.add((own.tobytes(), *offset.tolist()))
@@ -159,9 +163,9 @@ def test_images_have_the_partners_of_their_pins_and_shift_with_them(reader, shif
 
 
 def test_in_evaluation_partners_stay(reader):
-    one, again = (reader.take("test", np.arange(6), (OTHER, "pose")) for _ in range(2))
-    np.testing.assert_array_equal(one[OTHER], again[OTHER])
-    split = list(reader.split("test", 5, (SHEARED_PINS, SWAPPED)))
-    assert sum(len(batch[SWAPPED]) for batch in split) == reader.length("test")
-    assert set(split[0]) == {SHEARED_PINS, SWAPPED}
+    one, again = (reader.take("test", np.arange(6), (OTHER_PINS, "pose")) for _ in range(2))
+    np.testing.assert_array_equal(one[OTHER_PINS], again[OTHER_PINS])
+    split = list(reader.split("test", 5, (SHEARED_PINS, SWAPPED_PINS)))
+    assert sum(len(batch[SWAPPED_PINS]) for batch in split) == reader.length("test")
+    assert set(split[0]) == {SHEARED_PINS, SWAPPED_PINS}
     assert set(next(reader.split("test", 5))) >= {"pose", "sheared", "canonical_pins"}

@@ -6,7 +6,7 @@ import numpy as np
 import optax
 import pytest
 
-from jaxunshear.training.step import muon, orthogonalise
+from jaxunshear.training.muon import muon, orthogonalise
 
 SHAPES = {  # as of a small network: first, inner and last layers, and a dense one
     "First": {"kernel": (4, 4, 1, 8)},
