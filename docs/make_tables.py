@@ -35,12 +35,7 @@ TABLES = {
         partial(recorded_tables.tabulate_rivals, "rivals"),
         partial(recorded_tables.tabulate_rivals, "rivals_block"),
         recorded_tables.tabulate_rivals_images,
-        partial(
-            recorded_tables.tabulate_rivals,
-            "rivals_images_chosen",
-            "images",
-            "PoseNets of 30 epochs",
-        ),
+        recorded_tables.tabulate_rivals_epochs,
     ),
     "docs/calibration.md": (
         simulator_tables.tabulate_fits,

@@ -1,5 +1,7 @@
 """Tables of networks on recordings of a real sensor."""
 
+from collections.abc import Mapping
+
 from docs.reading import (
     format_figures,
     format_interval,
@@ -12,6 +14,7 @@ from docs.reading import (
     load_runs,
     start_table,
 )
+from jaxunshear.results.sweep import CellResult
 
 TARGETS = {"y_mm": 2, "Rz_deg": 1}
 EDGE_TARGETS = {"y_mm": 3, "z_mm": 3, "Rz_deg": 2}
@@ -225,11 +228,22 @@ def _compute_recovery(errors: dict[str, float], table: str, target: str) -> floa
     return (sheared - errors[f"{table}.unsheared.{target}"]) / (sheared - tap)
 
 
-def tabulate_rivals(name: str, modality: str = "pins", label: str = "") -> str:
-    """Tabulate errors of unsheared and of directly learnt slides, by networks of the same make.
+def tabulate_rivals(name: str) -> str:
+    """Tabulate errors of unsheared and of directly learnt slides, by networks of the same make."""
+    return _tabulate_rivals("pins", {cell.label: cell for cell in load_cells(name)})
 
-    `label` is that of a sweep of one cell.
-    """
+
+def tabulate_rivals_epochs() -> str:
+    """Tabulate the same over images, by how long PoseNets are trained."""
+    names = {
+        "PoseNets of 7 epochs": "recorded_images",
+        "PoseNets of 30 epochs": "rivals_images_chosen",
+    }
+    cells = {label: load_cells(name)[0] for label, name in names.items()}
+    return _tabulate_rivals("images", cells)
+
+
+def _tabulate_rivals(modality: str, cells: Mapping[str, CellResult]) -> str:
     keys = {
         "unsheared": "pose/disentangled",
         "direct": "pose/sheared_learnt",
@@ -237,11 +251,11 @@ def tabulate_rivals(name: str, modality: str = "pins", label: str = "") -> str:
     }
     heads = [f"{way}: {_name_target(target)}" for way in keys for target in EDGE_TARGETS]
     lines = start_table(format_line(f"recorded, {modality}", heads))
-    for cell in load_cells(name):
+    for label, cell in cells.items():
         errors = []
         for key in keys.values():
             errors += format_figures(cell.metrics, EDGE_TARGETS, f"{key}/")
-        lines.append(format_line(label or cell.label, errors))
+        lines.append(format_line(label, errors))
     return "\n".join(lines)
 
 
