@@ -15,9 +15,10 @@ which a PoseNet of taps reads that learns by the same settings; for "15 epochs":
     jaxunshear sweep experiments/recorded.py --recordings DIR --seeds 0,1,2 \
         --train_posenet.epochs 15
 
-Expected: docs/results/rivals_images.json, seed 0: this PoseNet gains from more epochs, and from taps
-beside the slides. By validation loss 30 epochs are best; docs/results/rivals_images_chosen.json has
-three seeds of them, beside a network that unshears: differences are within chance.
+Expected: docs/results/rivals_images.json, seed 0: this PoseNet gains from more epochs, and from
+taps beside the slides. By validation loss 30 epochs are best. Three seeds of them are in
+docs/results/rivals_images_chosen.json, beside a network that unshears: differences are within
+chance.
 """
 
 from dataclasses import replace

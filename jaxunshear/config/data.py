@@ -89,9 +89,10 @@ class SimulatedData(DataSettings):
 
     config: str = "demo"  # name of the stored configuration; changed fields get a name of their own
     stimuli: tuple[StimulusSetting, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
-    poses: Poses = 600  # per stimulus
-    seed: Seed = 0  # of poses and slides; another for taps than for pairs
-    friction: float | None = None  # of all stimuli; None: that of each one's material
+    poses: Poses = 600  # poses per stimulus
+    # seed of poses and slides; it must differ between pairs and the taps of PoseNets
+    seed: Seed = 0
+    friction: float | None = None  # friction coefficient; none: that of each stimulus's material
     ranges: Ranges = field(default_factory=Ranges)
     camera: Camera = field(default_factory=Camera)
     nuisance: Nuisance = DRIFTING_NUISANCE
@@ -132,10 +133,11 @@ class PairedData(SimulatedData, SourceSettings):
     source: ClassVar[type | str] = "jaxunshear.data.sources:SimulatedSource"
     is_simulated: ClassVar[bool] = True
 
-    taps: Count = 1  # canonical images a pose
-    slides: Count = 2  # sheared images a pose
-    poses_a_slide: Count = 1  # poses of a split that share their slides (`FactorialReader`)
-    # a tap misses its slide's depth by up to this (the paper: 1.0)
+    taps: Count = 1  # canonical images per pose
+    slides: Count = 2  # sheared images per pose
+    # poses of a split that share their slides, so that codes can be swapped
+    poses_a_slide: Count = 1
+    # how far a tap may miss its slide's depth, mm (the paper: 1.0)
     tap_depth_jitter_mm: float = 0.0
 
     def find_problems(self) -> Iterator[Problem]:
@@ -183,8 +185,9 @@ class Recorded(SourceSettings):
     source: ClassVar[type | str] = "jaxunshear.data.recorded_source:RecordedSource"
     contacts: ClassVar[str] = "recordings"
 
-    tap_folder: str = ""  # empty: there are no taps
-    slide_folder: str = ""  # may be the tap folder: labels distinguish slides from taps
+    tap_folder: str = ""  # folder of the taps; empty: there are none
+    # folder of the slides; may be that of the taps: labels distinguish them
+    slide_folder: str = ""
     digest: str = ""  # of the files there; computed when the recordings are named
     pairs: str = ""  # table of pairs, columns slide and tap, for pairing "file"
     # a slide's partner: "rendered": what a renderer, trained on taps, draws at its pose; "nearest":
@@ -192,16 +195,19 @@ class Recorded(SourceSettings):
     # slides are simulated, and recorded ones are for tests alone
     pairing: PairingMethod = "rendered"
     labelled: Share = 1.0  # share of the training slides whose labels are used
-    # training slides without a label; "read": posenet_sheared reads their poses
+    # what becomes of training slides without a label: they are left out, or posenet_sheared
+    # predicts their poses ("read")
     unlabelled: Literal["left_out", "read"] = "left_out"
     # taps that posenet_sheared, which learns poses of slides directly, learns from as well: the
     # recorded ones, as slides of length zero; or over pins as many rendered ones as slides
     direct_taps: Literal["none", "recorded", "rendered"] = "none"
-    # kept out of training: poses at "random", a "block" of poses that are close, or a "folder"
+    # what is kept out of training: poses at "random", a "block" of poses that are close, or a
+    # "folder"
     split: Literal["random", "block", "folder"] = "random"
     test: Half = 0.1  # share of the poses for test, if no folder is
-    validation: Half = 0.1  # likewise, to choose the best checkpoint
-    seed: Seed = 0  # of that draw, or of the block's place
+    # share of the poses that choose the best checkpoint, if no folder is
+    validation: Half = 0.1
+    seed: Seed = 0  # seed of that draw, or of the block's place
     preprocess: Preprocess = field(default_factory=Preprocess)
 
     def find_problems(self) -> Iterator[Problem]:

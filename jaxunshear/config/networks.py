@@ -34,14 +34,14 @@ class UnshearNet:
     large field of view.
     """
 
-    size: int = 128  # of the images, px
-    widths: Counts = (32, 64, 64, 128, 256)  # channels a stride-2 convolution
-    pose_channels: Count = 128  # of z_p
-    shear_channels: CodeSize = 128  # of z_s; 0 builds no shear code and no DS
-    # both codes are vectors without place; z_s has its own encoder, and DS trains neither code
+    size: int = 128  # side of the images, px
+    widths: Counts = (32, 64, 64, 128, 256)  # channels of each stride-2 convolution
+    pose_channels: Count = 128  # channels of z_p
+    shear_channels: CodeSize = 128  # channels of z_s; 0 builds no shear code and no DS
+    # separate encoders: both codes are vectors, z_s has its own encoder, and DS trains neither code
     apart: bool = False
-    disentangled: bool = True  # of a network built from these settings; experiments leave it True
-    # "pins": networks over pins (`PinNet`) instead of these
+    disentangled: bool = True  # the network has codes; set by its name, so leave it
+    # what all networks take: images, or pins; over pins the settings are those of the group pins
     input: Literal["images", "pins"] = "images"
 
     def find_problems(self) -> Iterator[Problem]:
@@ -70,8 +70,8 @@ class PoseNet:
     Max pooling follows the second and the fourth convolution; the output is a sigmoid.
     """
 
-    size: int = 128  # of the images, px
-    widths: Counts = (16, 32, 64, 96, 128)  # channels a convolution
+    size: int = 128  # side of the images, px
+    widths: Counts = (16, 32, 64, 96, 128)  # channels of each convolution
     hidden: Count = 128  # units of the dense layer before the last
 
     def find_problems(self) -> Iterator[Problem]:
@@ -85,14 +85,15 @@ class PoseNet:
 class PinNet:
     """The networks over pins: dense layers over the motions of all pins."""
 
-    hidden: Count = 256  # units a dense layer
+    hidden: Count = 256  # units of each dense layer
     layers: Count = 3  # number of dense layers
     # channels of E's convolutions over a grid across the pins, before one dense layer; (): dense
     # layers alone
     convolved: GridChannels = ()
-    # likewise of posenet_sheared, which learns poses of slides directly; other PoseNets are dense
+    # channels of such convolutions in posenet_sheared, which learns poses of slides directly; other
+    # PoseNets are dense
     direct_convolved: GridChannels = ()
-    # added to the pins of training examples: as much as their detection errs by
+    # noise that is added to the pins of training examples, px: as much as their detection errs by
     noise_px: NotNegative = 0.08
     # rotation augmentation: share of the training examples that are turned about the sensor's axis;
     # recorded ones for posenet_sheared alone, simulated ones for all networks, with slides of other
@@ -100,8 +101,8 @@ class PinNet:
     turned: Annotated[float, between(0, 1)] = 0.0
     pose_code: Count = 16  # numbers in z_p
     shear_code: CodeSize = 4  # numbers in z_s; 0 builds no shear code and no DS
-    # z_s has an encoder of its own, and DS trains neither code: z_p learns from the tap alone, z_s
-    # from the slide
+    # separate encoders: z_s has its own, and DS trains neither code: z_p learns from the tap alone,
+    # z_s from the slide
     apart: bool = False
 
 

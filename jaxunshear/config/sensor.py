@@ -44,20 +44,20 @@ class Sensor:
     silicone gel; the motions of pins depend on their ratio alone.
     """
 
-    name: str = "tactip331"  # as `jaxunshear sensors` lists it
-    # "rings": of 1, 6, 12, ... pins; "hexagonal": a triangular lattice cut to a hexagon; or one
-    # that an experiment file registers
+    name: str = "tactip331"  # the sensor, as `jaxunshear sensors` lists it
+    # how pins are placed: "rings", of 1, 6, 12, ... pins; "hexagonal", a triangular lattice cut to
+    # a hexagon; or one that an experiment file registers
     layout: str = "rings"
-    rings: Annotated[int, between(1, 50)] = 10  # of pins, around the one at the apex
-    pin_spacing_mm: Positive = 1.5  # between neighbouring rings, along the dome
-    pin_radius_mm: Positive = 0.45  # of a white tip
-    pin_length_mm: NotNegative = 1.0  # from the skin's inner face to the white tip
-    dome_radius_mm: Positive = 20.0  # outside
-    skin_mm: Positive = 1.0  # thickness
-    skin_modulus_mpa: Positive = 1.0  # Young's
-    gel_modulus_mpa: Positive = 0.1  # Young's
-    skin_poisson: Poisson = 0.49  # ratio; 0.5 would be incompressible
-    gel_poisson: Poisson = 0.49  # likewise
+    rings: Annotated[int, between(1, 50)] = 10  # rings of pins, around the one at the apex
+    pin_spacing_mm: Positive = 1.5  # from ring to ring, along the dome
+    pin_radius_mm: Positive = 0.45  # radius of a white tip
+    pin_length_mm: NotNegative = 1.0  # length from the skin's inner face to the white tip
+    dome_radius_mm: Positive = 20.0  # outer radius of the dome
+    skin_mm: Positive = 1.0  # thickness of the skin
+    skin_modulus_mpa: Positive = 1.0  # Young's modulus of the skin
+    gel_modulus_mpa: Positive = 0.1  # Young's modulus of the gel
+    skin_poisson: Poisson = 0.49  # Poisson's ratio of the skin; 0.5 would be incompressible
+    gel_poisson: Poisson = 0.49  # Poisson's ratio of the gel
 
     @property
     def pins(self) -> int:
@@ -225,7 +225,7 @@ class Camera:
     """
 
     frame_px: Pixels = 256  # side of the frame
-    mm_across: Positive = 33.5  # that the frame shows, at the height of the undeformed apex pin
+    mm_across: Positive = 33.5  # width of the frame, mm at the height of the undeformed apex pin
     distance_mm: float = 200.0  # from the undeformed apex up to the pinhole
     # radius of the dark disc within the lit housing over that of the outermost pins, in raw frames
     housing: Housing = 1.22

@@ -30,27 +30,30 @@ class Training:
     """Losses, optimiser and schedule of one network (paper section 3.3, appendix B)."""
 
     epochs: Positive = 6.0  # passes through the training examples
-    batch: Count = 16  # examples a step
-    # "adam": the paper's; "muon" takes the same learning rates and gets further with each image
+    batch: Count = 16  # examples of a step
+    # the optimiser: "adam", the paper's; or "muon", which takes the same learning rates and gets
+    # further with each image
     optimiser: Literal["adam", "muon"] = "adam"
-    learning_rate: Share = 1e-3  # at the start
-    # "cosine": to zero over the run; "steps": factors of `drops`
+    learning_rate: Share = 1e-3  # learning rate at the start
+    # how the learning rate falls: "cosine", to zero over the run; "steps", by the factors of drops
     schedule: Literal["cosine", "steps"] = "cosine"
-    drops: Drops = ()  # (epoch, factor on the first learning rate)
-    # of Adam, which with "muon" trains the first and last layers, biases and normalisation
+    drops: Drops = ()  # for schedule "steps": epoch, and factor on the first learning rate
+    # decay of Adam's first moment; with "muon" Adam trains the first and last layers, biases and
+    # normalisation
     beta1: Fraction = 0.5
-    beta2: Fraction = 0.999  # of Adam
+    beta2: Fraction = 0.999  # decay of Adam's second moment
     l1: NotNegative = 0.0  # weight of |w|, added up over all convolution and dense kernels
-    l2: NotNegative = 0.0  # weight of w^2, likewise
-    # "sum": over a kernel's weights, as Keras does; "mean": does not depend on a kernel's size
+    l2: NotNegative = 0.0  # weight of w^2, added up over all convolution and dense kernels
+    # how l1 and l2 reduce a kernel: "sum" over its weights, as Keras does; "mean", which does not
+    # depend on its size
     kernels: Literal["sum", "mean"] = "sum"
     # weights of all losses that are computed, by their names in config/losses.py; the defaults are
     # the paper's, whose lambda 0.1 gives "L2 and L1 patch loss in the ratio 10:1"
     losses: Mapping[str, float] = LossWeights(
         {"supervised": 1.0, "patch": 0.1, "reconstruction": 1.0}
     )
-    crops: Count = 100  # random crops an image, of the patch loss
-    crop_px: Count = 20  # their side
+    crops: Count = 100  # random crops of an image, of the patch loss
+    crop_px: Count = 20  # side of a crop, px
     # over pins: share of the simulated training poses, drawn by seed, whose slides have their tap;
     # other slides are left out
     paired_share: Share = 1.0
@@ -60,8 +63,8 @@ class Training:
     shift: Annotated[float, between(0, 0.25)] = 0.015
     # weights to start from: the name of released ones, or a run's folder; empty: random ones
     start: str = ""
-    validate_every: Count = 100  # steps; a checkpoint is then written, too
-    validation_images: Count = 256  # at most; the first of the validation split
+    validate_every: Count = 100  # steps from one validation, and checkpoint, to the next
+    validation_images: Count = 256  # examples of a validation at most: the first of that split
 
     def __post_init__(self) -> None:
         if isinstance(self.losses, Mapping):  # else `check_types` reports it
