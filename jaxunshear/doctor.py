@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Preprocess
 from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
-from jaxunshear.data.labels import Problem
+from jaxunshear.data.labels import LabelProblem
 from jaxunshear.data.recorded_contacts import MIN_MOVE
 from jaxunshear.data.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.data.sensor_frame import LARGEST_PX, MIN_FRAMES
@@ -96,7 +96,7 @@ def check_recordings(path: Path) -> Diagnosis:
     """
     recordings = read_recordings(path, Preprocess())
     problems = [
-        note if isinstance(note, Problem) else Problem.from_line(path, note)
+        note if isinstance(note, LabelProblem) else LabelProblem.from_line(path, note)
         for note in recordings.notes
     ]
     rows: dict[Path, list[int]] = {}
@@ -118,7 +118,11 @@ def check_recordings(path: Path) -> Diagnosis:
 
 
 def _check_folder(
-    recordings: Recordings, rows: list[int], share: int, problems: list[Problem], progress: Progress
+    recordings: Recordings,
+    rows: list[int],
+    share: int,
+    problems: list[LabelProblem],
+    progress: Progress,
 ) -> FolderCheck:
     """Check the frames in `rows`, which lie in one folder, and add to `problems`."""
     files, root = [recordings.files[row] for row in rows], recordings.path
@@ -129,14 +133,14 @@ def _check_folder(
             check_frame(raw)
             sizes[file] = (raw.shape[1], raw.shape[0])
         except UserError as error:
-            problems.append(Problem.with_place(file, str(error)))
+            problems.append(LabelProblem.with_place(file, str(error)))
         progress.advance()
     usual = Counter(sizes.values()).most_common(1)[0][0] if sizes else (0, 0)
     usable = [file for file, size in sizes.items() if size == usual]
     for file, (width, height) in sizes.items():
         if (width, height) != usual:
             text = f"{width} x {height} pixels, where most here have {usual[0]} x {usual[1]}"
-            problems.append(Problem.with_place(file, text))
+            problems.append(LabelProblem.with_place(file, text))
     unread, other_size = len(files) - len(sizes), len(sizes) - len(usable)
     left_out = {"cannot be read": unread, "of another size": other_size}
     # labels lie above the images in most layouts

@@ -37,7 +37,7 @@ from jaxunshear.config.stimuli import ABS_FRICTION
 from jaxunshear.data.sensor_frame import match_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes, write_json, write_text
-from jaxunshear.perception.pin_detection import find_pins
+from jaxunshear.perception.pin_detection import detect_pin_centres
 from jaxunshear.progress import Progress
 from jaxunshear.style import STYLE, encode_png
 from jaxunshear.text_table import format_text_table
@@ -151,7 +151,7 @@ class SimulatedGroups:
 
 
 def _find_sensor(recorded: list[RecordedImages], path: Path) -> Sensor:
-    counts = [len(find_pins(image)) for part in recorded for image in part.images[:5]]
+    counts = [len(detect_pin_centres(image)) for part in recorded for image in part.images[:5]]
     return match_sensor(counts, MAX_PIN_COUNT_ERROR, str(path))
 
 

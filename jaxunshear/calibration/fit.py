@@ -18,9 +18,9 @@ import numpy as np
 
 from jaxunshear.calibration.pin_statistics import measure_pin_diameters
 from jaxunshear.calibration.prediction import SensorValues, SolvedContacts
-from jaxunshear.calibration.problem import UNSOLVED_RESIDUAL_PX, Problem, RecordedGroup
+from jaxunshear.calibration.problem import UNSOLVED_RESIDUAL_PX, FitProblem, RecordedGroup
 from jaxunshear.config.sensor import Camera, Nuisance, Preprocess, Sensor
-from jaxunshear.perception.pin_detection import find_pins
+from jaxunshear.perception.pin_detection import detect_pin_centres
 from jaxunshear.perception.preprocess import binarise
 from jaxunshear.simulator.camera import compute_outer_fraction, render_frame
 
@@ -48,7 +48,7 @@ class Interval(NamedTuple):
 
 
 class FitResult(NamedTuple):
-    """Fitted values, with an interval by name of `Problem.names`."""
+    """Fitted values, with an interval by name of `FitProblem.names`."""
 
     values: SensorValues
     intervals: dict[str, Interval]
@@ -79,7 +79,7 @@ def fit(
         advance: Is called with numbers of simulated contacts.
         begin: Where the search begins, if not at `start`.
     """
-    problem = Problem(groups, start, fixed, advance)
+    problem = FitProblem(groups, start, fixed, advance)
     x = problem.to_parameters(begin or start)
     before_px = _compute_error(problem.compute_residuals(np.where(problem.is_scalar, 0.0, x)))
     minimum = _minimise(problem, x)
@@ -99,7 +99,7 @@ def fit(
     )
 
 
-def _minimise(problem: Problem, x: np.ndarray) -> _Minimum:
+def _minimise(problem: FitProblem, x: np.ndarray) -> _Minimum:
     prior = problem.prior
     while problem.recentre(x):
         pass
@@ -227,7 +227,7 @@ def _fit_pin_radius(
                 replace(sensor, pin_radius_mm=radius),
                 group_tips,
             )
-            rendered = [np.nanmean(measure_pin_diameters(i, find_pins(i))) for i in images]
+            rendered = [np.nanmean(measure_pin_diameters(i, detect_pin_centres(i))) for i in images]
             ratios.append(np.mean(rendered) / diameter)
         return float(np.mean(ratios))
 

@@ -20,7 +20,7 @@ from jaxunshear.calibration.labels import LabelledMotions
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.perception.lattice import Lattice, measure_spacing
 from jaxunshear.perception.lattice_fitting import fit_lattice, make_layout
-from jaxunshear.perception.pin_detection import DetectedPins, find_pins
+from jaxunshear.perception.pin_detection import DetectedPins, detect_pin_centres
 from jaxunshear.perception.pin_tracking import track_all
 from jaxunshear.progress import Progress
 
@@ -84,7 +84,7 @@ def observe_pins(
     """
     detected = []
     for image in images:
-        detected.append(find_pins(image))
+        detected.append(detect_pin_centres(image))
         if progress is not None:
             progress.advance()
     lattice = fit_lattice(detected, make_layout(sensor))

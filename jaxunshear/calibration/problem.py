@@ -118,7 +118,7 @@ def compute_ring_features(
     return np.concatenate([radii, shift.real, shift.imag], axis=1)
 
 
-class Problem:
+class FitProblem:
     """Residuals of groups as functions of a vector x (K,) of the parameters `names`.
 
     x has logarithms over the start of the names in `scalars`, then differences from the start of

@@ -38,19 +38,19 @@ class LabelTable:
     uneven: dict[int, int]  # rows that do not fit the heading: how many cells they have
 
 
-class Problem(str):
+class LabelProblem(str):
     """One line on what is wrong with a recording, with the place as data."""
 
     place: Path
     row: int | None  # of a table
 
     @classmethod
-    def with_place(cls, place: Path, text: str, row: int | None = None) -> Problem:
+    def with_place(cls, place: Path, text: str, row: int | None = None) -> LabelProblem:
         """Make a line that begins with the place."""
         return cls.from_line(place, f"{place}{f', row {row}' if row else ''}: {text}", row)
 
     @classmethod
-    def from_line(cls, place: Path, line: str, row: int | None = None) -> Problem:
+    def from_line(cls, place: Path, line: str, row: int | None = None) -> LabelProblem:
         """Make a problem of a line that names the place in its own words."""
         # a file's name may consist of bytes that are no text
         printable = line.encode("utf-8", "backslashreplace").decode()
@@ -60,7 +60,7 @@ class Problem(str):
 
 
 def _make_error(file: Path, text: str, row: int | None = None) -> UserError:
-    return UserError(Problem.with_place(file, text, row))
+    return UserError(LabelProblem.with_place(file, text, row))
 
 
 class ImageLabels(NamedTuple):
@@ -120,7 +120,7 @@ def _read_lines(file: Path) -> dict[int, list[str]]:
     return lines
 
 
-def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, list[Problem]]:
+def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, list[LabelProblem]]:
     """Read the labels of images of these names, and list the problems of the table.
 
     Raises UserError if the table names no images.
@@ -136,7 +136,7 @@ def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, 
             f"has no row for {len(missing)} of {len(names)} images, "
             f"the first {missing[0]}: poses unknown"
         )
-        problems.append(Problem.with_place(table.file, text))
+        problems.append(LabelProblem.with_place(table.file, text))
     poses, bad_poses = _read_six(table, numbers, POSE_COLUMNS, "pose")
     moves, bad_moves = _read_six(table, numbers, MOVE_COLUMNS, "slide")
     ids, bad_ids = _read_pose_ids(table, numbers)
@@ -145,7 +145,7 @@ def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, 
 
 def _index_rows(
     table: LabelTable, column: str, names: set[str]
-) -> tuple[dict[str, int], list[Problem]]:
+) -> tuple[dict[str, int], list[LabelProblem]]:
     """Return the row of each image, without images of which two rows differ, and the problems."""
     numbers: dict[str, int] = {}
     absent, repeated, ambiguous = dict[int, str](), dict[int, str](), set[str]()
@@ -170,13 +170,13 @@ def _index_rows(
     return {name: row for name, row in numbers.items() if name not in ambiguous}, problems
 
 
-def _summarise_problems(table: LabelTable, wrong: dict[int, str]) -> list[Problem]:
+def _summarise_problems(table: LabelTable, wrong: dict[int, str]) -> list[LabelProblem]:
     """Make one problem of all rows with the same, by the first: there may be thousands."""
     if not wrong:
         return []
     first = min(wrong)
     count = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
-    return [Problem.with_place(table.file, wrong[first] + count, first)]
+    return [LabelProblem.with_place(table.file, wrong[first] + count, first)]
 
 
 def _read_six(
@@ -184,14 +184,14 @@ def _read_six(
     numbers: Sequence[int | None],
     namings: tuple[tuple[str, ...], ...],
     what: str,
-) -> tuple[np.ndarray, list[Problem]]:
+) -> tuple[np.ndarray, list[LabelProblem]]:
     """Read six columns (N, 6) by the naming of the file; a row is NaN unless it has all six."""
     values, bad = np.full((len(numbers), 6), np.nan), dict[int, str]()
     names = max(namings, key=lambda naming: len(set(table.columns).intersection(naming)))
     absent = [name for name in names if name not in table.columns]
     if absent:
         text = f"has no column {', '.join(absent)}: {what}s are not known"
-        return values, [Problem.with_place(table.file, text)]
+        return values, [LabelProblem.with_place(table.file, text)]
     for i, number in enumerate(numbers):
         if number is None:
             continue
@@ -207,7 +207,7 @@ def _read_six(
 
 def _read_pose_ids(
     table: LabelTable, numbers: Sequence[int | None]
-) -> tuple[np.ndarray, list[Problem]]:
+) -> tuple[np.ndarray, list[LabelProblem]]:
     ids, bad = np.full(len(numbers), UNKNOWN_ID, np.int64), dict[int, str]()
     for i, number in enumerate(numbers):
         cell = "" if number is None else table.rows[number].get("pose_id", "")

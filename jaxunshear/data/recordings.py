@@ -30,7 +30,7 @@ from jaxunshear.data.labels import (
     TABLES,
     UNKNOWN_ID,
     ImageLabels,
-    Problem,
+    LabelProblem,
     read_table,
     read_targets,
 )
@@ -65,8 +65,8 @@ class Recordings:
 
     `poses` and `moves` (N, 6) in mm and degrees, NaN in rows that are not labelled, or None if no
     row is. `pose_ids` (N,) int64, -1 where unknown, or None likewise. `notes` says in a line each
-    what is wrong, by file and row (`Problem` where these are known); images that turn out to be
-    unreadable, or unlike the others, are added while `iterate_frames` runs.
+    what is wrong, by file and row (`LabelProblem` where these are known); images that turn out to
+    be unreadable, or unlike the others, are added while `iterate_frames` runs.
     """
 
     path: Path
@@ -114,7 +114,7 @@ class Recordings:
                 image = prepare_frame(self.preprocess, raw, views[folder])
             except UserError as error:
                 problem = f"{name}: {error}"
-                self._note(Problem.from_line(file, f"left out {problem}"))
+                self._note(LabelProblem.from_line(file, f"left out {problem}"))
                 continue
             names_by_size[folder].setdefault(raw.shape[:2], []).append(file.name)
             yield RecordedFrame(row, name, image)
@@ -125,7 +125,7 @@ class Recordings:
         for folder, sizes in names_by_size.items():
             if len(sizes) > 1:
                 text = f"images of {len(sizes)} sizes: {_format_sizes(sizes)}"
-                self._note(Problem.with_place(folder, text))
+                self._note(LabelProblem.with_place(folder, text))
 
     def _note(self, problem: str) -> None:
         if problem not in self.notes:  # frames may be asked for twice
@@ -269,7 +269,7 @@ def _find_image_folders(
             yield from _find_image_folders(subfolder, depth - 1, notes, parents)
         except OSError as error:
             text = f"cannot be searched ({error.strerror or error})"
-            notes.append(Problem.with_place(subfolder, text))
+            notes.append(LabelProblem.with_place(subfolder, text))
 
 
 def _find_hidden_folder(folder: Path) -> Path | None:

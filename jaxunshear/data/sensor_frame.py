@@ -91,7 +91,7 @@ def identify_sensor(contacts: RecordedContacts, preprocess: Preprocess) -> Senso
 
     Raises UserError if there is none, or no frame can be read.
     """
-    from jaxunshear.perception.pin_detection import find_pins
+    from jaxunshear.perception.pin_detection import detect_pin_centres
     from jaxunshear.perception.preprocess import prepare_frame
 
     view, counts, problem = find_training_view(contacts, preprocess), list[int](), ""
@@ -104,7 +104,7 @@ def identify_sensor(contacts: RecordedContacts, preprocess: Preprocess) -> Senso
         except UserError as error:
             problem = f"{contacts.names[row]}: {error}"
             continue
-        counts.append(len(find_pins(image)))
+        counts.append(len(detect_pin_centres(image)))
         if len(counts) == COUNTED_FRAMES:
             break
     folder = contacts.files[0].parent

@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from jaxunshear.angles import wrap_degrees
-from jaxunshear.perception.pin_detection import find_pins
+from jaxunshear.perception.pin_detection import detect_pin_centres
 
 
 def compute_pose_errors(
@@ -72,7 +72,7 @@ def measure_pin_error(
     match. Pixels from half of full scale on are white.
     """
     matches = [
-        match_pins(find_pins(image), true, limit_px)
+        match_pins(detect_pin_centres(image), true, limit_px)
         for image, true in zip(images, true_px, strict=True)
     ]
     squares = np.concatenate([match.error_px for match in matches]) ** 2

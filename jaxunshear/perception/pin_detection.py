@@ -37,7 +37,7 @@ class MeasuredPins(NamedTuple):
     area: np.ndarray
 
 
-def find_pins(image: np.ndarray) -> Float[np.ndarray, "N 2"]:
+def detect_pin_centres(image: np.ndarray) -> Float[np.ndarray, "N 2"]:
     """Find the centroids px, as (column, row), of the pins in a binary image.
 
     The image (S, S) is uint8 of {0, 255} or in [0, 1], binary or nearly so. Pins that touch are
@@ -48,12 +48,12 @@ def find_pins(image: np.ndarray) -> Float[np.ndarray, "N 2"]:
 
 
 def detect_pins(image: np.ndarray) -> DetectedPins:
-    """Detect pins like `find_pins`, with what is needed to search for missing ones."""
+    """Detect pins like `detect_pin_centres`, with what is needed to search for missing ones."""
     return _detect(image, _split_at_waists)
 
 
 def detect_pins_fast(image: np.ndarray) -> Float[np.ndarray, "N 2"]:
-    """Find pins like `find_pins` in a third of the time, and in a tenth for noise.
+    """Find pins like `detect_pin_centres` in a third of the time, and in a tenth for noise.
 
     Pins that touch are put in a row of equal steps, a fraction of a pixel off. That is enough for
     what many pins have in common.
@@ -64,7 +64,7 @@ def detect_pins_fast(image: np.ndarray) -> Float[np.ndarray, "N 2"]:
 def _detect(image: np.ndarray, split: "_Split") -> DetectedPins:
     image = np.asarray(image)
     if image.ndim != 2:
-        raise ValueError(f"find_pins takes one image (S, S), got shape {image.shape}")
+        raise ValueError(f"detect_pin_centres takes one image (S, S), got shape {image.shape}")
     components = _find_components(image > (127 if image.dtype == np.uint8 else 0.5))
     short = components.length < len(image) / 5  # the housing ring is longer
     at_edge = np.zeros(len(short) + 1, bool)

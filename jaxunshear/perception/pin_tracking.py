@@ -11,7 +11,7 @@ Where pins have left the view, mean and spread mislead. Then the identified imag
 one sensor differ in two or three ways (slides along x and y, and the depth), so a grid over these
 is compared with the detected pins, and the best are refined.
 
-    lattice = fit_lattice([find_pins(image) for image in images], make_layout(TACTIP_331))
+    lattice = fit_lattice([detect_pin_centres(image) for image in images], make_layout(TACTIP_331))
     tracks = track_all(lattice, [detect_pins(image) for image in images])
     motion = tracks[0].motion  # (P, 2) px from the lattice, NaN where a pin is missing
 

@@ -10,7 +10,7 @@ from jaxunshear.calibration.fit import render_images
 from jaxunshear.calibration.labels import read_motions
 from jaxunshear.calibration.pin_statistics import observe_pins
 from jaxunshear.calibration.prediction import PROBE_RINGS, make_values
-from jaxunshear.calibration.problem import UNSOLVED_RESIDUAL_PX, Problem, RecordedGroup
+from jaxunshear.calibration.problem import UNSOLVED_RESIDUAL_PX, FitProblem, RecordedGroup
 from jaxunshear.config.sensor import TACTIP_331, TACTIP_331_FITTED, check_sensor
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from tests.calibration.conftest import GUESS, SMALL
@@ -51,7 +51,7 @@ def _problem(group, monkeypatch, lost):
 
     monkeypatch.setattr(problem, "simulate_displacements", displace)
     fixed = ("mm_across", "distance_mm", "pin_spacing_mm")
-    return Problem([group], _make_start(SMALL), fixed, lambda contacts: None)
+    return FitProblem([group], _make_start(SMALL), fixed, lambda contacts: None)
 
 
 @pytest.mark.parametrize("at_start", [False, True])
@@ -73,7 +73,7 @@ def test_a_lost_contact_has_no_slope_and_moves_no_other(group, monkeypatch, at_s
 
 @pytest.mark.parametrize("sensor", [TACTIP_331, TACTIP_331_FITTED, SMALL])
 def test_every_place_within_the_bounds_is_a_sensor(group, sensor):
-    bounded = Problem([group], _make_start(sensor), (), lambda contacts: None)
+    bounded = FitProblem([group], _make_start(sensor), (), lambda contacts: None)
     for bound in bounded.compute_bounds():
         values = bounded.to_values(bound)
         check_sensor(values.sensor)

@@ -6,7 +6,7 @@ import pytest
 from jaxunshear.data.labels import (
     MOVE_COLUMNS,
     POSE_COLUMNS,
-    Problem,
+    LabelProblem,
     read_pair_table,
     read_table,
     read_targets,
@@ -110,7 +110,7 @@ def test_what_is_no_table_is_refused(tmp_path, text, says):
 
 
 def test_a_problem_can_be_printed_whatever_the_name():
-    problem = Problem.with_place("caf\udce9\n.csv", "is  odd", 3)
+    problem = LabelProblem.with_place("caf\udce9\n.csv", "is  odd", 3)
     assert problem.encode() == b"caf\\udce9 .csv, row 3: is odd"
 
 

@@ -9,7 +9,7 @@ from jaxunshear.config.targets import make_label_targets
 from jaxunshear.data import pairing
 from jaxunshear.data.chunks import pack_bits
 from jaxunshear.perception.drawing import draw_dots
-from jaxunshear.perception.pin_detection import find_pins
+from jaxunshear.perception.pin_detection import detect_pin_centres
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 SIZE = 128
@@ -36,7 +36,7 @@ def centroids(grey, near):
 def test_pins_of_a_warped_image_stand_where_they_were_moved():
     motion = np.stack([1.2 * np.sin(PINS[:, 1] / 20), 0.8 * np.cos(PINS[:, 0] / 25)], axis=-1)
     moved = WARP(pack_bits(image(PINS)), motion[None])[0]
-    assert len(find_pins(moved)) == 127
+    assert len(detect_pin_centres(moved)) == 127
     apart = np.linalg.norm(centroids(moved, PINS + motion) - (PINS + motion), axis=-1)
     # what drawing at full pixels costs
     asis = np.linalg.norm(centroids(image(PINS)[0], PINS) - PINS, axis=-1)

@@ -6,7 +6,7 @@ import pytest
 
 from jaxunshear.config.sensor import TACTIP_127
 from jaxunshear.perception.drawing import draw_dots
-from jaxunshear.perception.pin_detection import find_pins
+from jaxunshear.perception.pin_detection import detect_pin_centres
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 SIZE = 128
@@ -19,7 +19,7 @@ def draw(pins):
 
 
 def find(image):
-    return find_pins((image * 255).astype(np.uint8))
+    return detect_pin_centres((image * 255).astype(np.uint8))
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.3])

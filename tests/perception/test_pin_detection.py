@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from jaxunshear.metrics.errors import match_pins
-from jaxunshear.perception.pin_detection import find_clusters, find_hull, find_pins
+from jaxunshear.perception.pin_detection import detect_pin_centres, find_clusters, find_hull
 from tests.helpers.dots import draw_dots, make_lattice
 
 
 def test_centroids_are_columns_and_rows():
     centres = make_lattice(8) + np.array([3.0, -2.0])
-    found = find_pins(draw_dots(centres, 2.2))
+    found = detect_pin_centres(draw_dots(centres, 2.2))
     match = match_pins(found, centres, 1.0)
     assert (match.missed, match.extra) == (0, 0)
     assert match.error_px.max() < 0.3
@@ -20,7 +20,7 @@ def test_touching_pins_are_parted():
     centres = make_lattice(9, 256)
     # three more, each touching one at the edge
     centres = np.concatenate([centres, centres[:3] - [0.0, 5.0]])
-    match = match_pins(find_pins(draw_dots(centres, 3.0, 256)), centres, 2.0)
+    match = match_pins(detect_pin_centres(draw_dots(centres, 3.0, 256)), centres, 2.0)
     assert (match.missed, match.extra) == (0, 0)
 
 
@@ -31,15 +31,15 @@ def test_ring_specks_and_lone_dots_are_left_out():
     image[np.abs(np.hypot(rows, columns) - 0.47 * 256) < 2] = 255
     image[70, 70:72] = 255  # a speck between pins
     image |= draw_dots(np.array([[30.0, 128.0]]), 3.0, 256)  # a glint far from them
-    match = match_pins(find_pins(image), centres, 1.0)
+    match = match_pins(detect_pin_centres(image), centres, 1.0)
     assert (match.missed, match.extra) == (0, 0)
 
 
 def test_images_without_pins_have_none_and_come_one_at_a_time():
     for value in (0, 255):
-        assert find_pins(np.full((64, 64), value, np.uint8)).shape == (0, 2)
+        assert detect_pin_centres(np.full((64, 64), value, np.uint8)).shape == (0, 2)
     with pytest.raises(ValueError, match="one image"):
-        find_pins(np.zeros((2, 64, 64)))
+        detect_pin_centres(np.zeros((2, 64, 64)))
 
 
 def test_lone_points_belong_to_no_cluster():

@@ -13,7 +13,7 @@ from jaxunshear.config.sensor import TACTIP_331, Camera, Nuisance, Preprocess
 from jaxunshear.errors import UserError
 from jaxunshear.metrics.errors import measure_pin_error
 from jaxunshear.perception import grey
-from jaxunshear.perception.pin_detection import find_pins
+from jaxunshear.perception.pin_detection import detect_pin_centres
 from jaxunshear.perception.preprocess import (
     View,
     _frame_pins,
@@ -109,7 +109,7 @@ def test_vmap_equals_a_batch_and_a_single_frame(frames):
 def test_every_pin_of_an_undeformed_frame_is_found_where_it_is(frames, size):
     preprocess = Preprocess(size=size)
     images = np.asarray(binarise(preprocess, frames[:4]))
-    assert [len(find_pins(image)) for image in images] == [331] * 4
+    assert [len(detect_pin_centres(image)) for image in images] == [331] * 4
     projected = project(CAMERA, compute_pin_tips(TACTIP_331), TACTIP_331)
     true = np.asarray(to_image_px(CAMERA, preprocess, projected))
     error = measure_pin_error(images, np.tile(true[None], (4, 1, 1)), limit_px=5.0)
@@ -129,7 +129,7 @@ def test_the_mask_blackens_what_is_outside(frames):
 @SIZES
 def test_the_dome_is_found_wherever_it_lies(frames, side, top, left, size):
     photo = photograph(frames[0], side=side, top=top, left=left)
-    found = find_pins(prepare_frame(Preprocess(size=size), photo))
+    found = detect_pin_centres(prepare_frame(Preprocess(size=size), photo))
     assert abs(len(found) - 331) <= 1
     reach = np.hypot(*(found - (size - 1) / 2).T).max() / size
     assert reach == pytest.approx(OUTER, abs=0.01)
@@ -147,7 +147,7 @@ def test_pins_in_a_dark_surround_are_found_too(dark):
     photo = photograph(dark, side=380, top=60, left=200, light=0.03)
     box = find_dome(to_grey(photo), Preprocess().outer_pins)
     np.testing.assert_allclose(box, [200, 60, 580, 440], atol=8)
-    assert len(find_pins(prepare_frame(Preprocess(size=256), photo))) == 331
+    assert len(detect_pin_centres(prepare_frame(Preprocess(size=256), photo))) == 331
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.75])
@@ -266,7 +266,7 @@ def test_the_quick_way_for_black_and_white_gives_what_the_long_one_does(kind, si
 
 def test_a_binary_frame_of_another_framing_is_brought_to_ours(frames):
     image = np.asarray(binarise(Preprocess(size=512), frames[0]))
-    found = find_pins(prepare_frame(Preprocess(size=256), image[50:-50, 50:-50]))
+    found = detect_pin_centres(prepare_frame(Preprocess(size=256), image[50:-50, 50:-50]))
     assert abs(len(found) - 331) <= 1
     assert np.hypot(*(found - 127.5).T).max() / 256 == pytest.approx(OUTER, abs=0.015)
 
@@ -299,7 +299,7 @@ def test_real_frames(real_recordings, number, size):
     image = prepare_frame(preprocess, raw)
     for each in (image, binarise(preprocess, square)):
         check_agreement(preprocess, each, square)
-    found = find_pins(image)
+    found = detect_pin_centres(image)
     assert abs(len(found) - 331) <= 3
     outermost = np.sort(np.hypot(*(found - found.mean(0)).T))[-60:].mean() / size
     assert outermost == pytest.approx(OUTER, abs=0.01)

@@ -15,7 +15,7 @@ from jaxunshear.config.sensor import (
     Preprocess,
 )
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice, fit_lattice, make_layout
-from jaxunshear.perception.pin_detection import detect_pins_fast, find_pins
+from jaxunshear.perception.pin_detection import detect_pin_centres, detect_pins_fast
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import (
     compute_plausibility,
@@ -96,7 +96,7 @@ def test_what_is_seen_is_where_the_pins_are(sets, grey):
 
 def test_a_glance_finds_what_find_pins_finds(sets):
     for each in sets.values():
-        found, seen = find_pins(each.images[3]), detect_pins_fast(each.images[3])
+        found, seen = detect_pin_centres(each.images[3]), detect_pins_fast(each.images[3])
         off = cKDTree(found).query(seen)[0]
         assert abs(len(found) - len(seen)) <= 0.03 * len(found)
         assert np.median(off) < 1e-9 and np.mean(off < 0.7) > 0.97
@@ -178,7 +178,7 @@ def test_real_images(sets, real_recordings):
     """Slides of one day by what taps of another day show; and neither is 127 pins, nor noise."""
     taps = _packed(real_recordings / "edge_2d_tap_train.npz", 30)
     slides = _packed(real_recordings / "edge_2d_shear_train.npz", 30)
-    lattice = fit_lattice([find_pins(image) for image in taps], make_layout(TACTIP_331))
+    lattice = fit_lattice([detect_pin_centres(image) for image in taps], make_layout(TACTIP_331))
     expected = measure_sensor_appearance(lattice.rest, 128)
     likely = np.array([compute_plausibility(image, expected) for image in slides])
     assert np.median(likely) > 0.95 and np.mean(likely > 0.5) >= 0.9
