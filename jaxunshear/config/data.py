@@ -1,9 +1,10 @@
 """Settings of data sources: the two simulated data sets, and recordings."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Literal
+from dataclasses import dataclass, field, replace
+from typing import Annotated, ClassVar, Literal, cast
 
+from jaxunshear.config.networks import POSENET_SHEARED, RENDERER, NetworkSpec
 from jaxunshear.config.sensor import Camera, Nuisance, Preprocess
 from jaxunshear.config.splits import BLOCK, count_train_poses
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
@@ -73,11 +74,17 @@ class SourceSettings(DataSettings):
 
     def get_simulated(self, what: str) -> "PairedData":
         """Return the settings of simulated contacts. Raises UserError, as `what` needs these."""
-        if isinstance(self, PairedData):
-            return self
         raise UserError(
             f"{what} needs a model of simulated touches: this one learnt from {self.contacts}"
         )
+
+    def list_helpers(self, spec: NetworkSpec, pins: bool) -> tuple[str, ...]:
+        """List the networks that a network over images or pins learns from, by its data."""
+        return ()
+
+    def select_for(self, spec: NetworkSpec, pose: object) -> DataSettings:
+        """Select the set that a network learns from, settings that it does not use at defaults."""
+        return self
 
 
 @dataclass(frozen=True)
@@ -139,6 +146,12 @@ class PairedData(SimulatedData, SourceSettings):
     poses_a_slide: Count = 1
     # how far a tap may miss its slide's depth, mm (the paper: 1.0)
     tap_depth_jitter_mm: float = 0.0
+
+    def get_simulated(self, what: str) -> "PairedData":
+        return self
+
+    def select_for(self, spec: NetworkSpec, pose: object) -> DataSettings:
+        return cast(PoseData, pose) if spec.learns_from == "taps" else self
 
     def find_problems(self) -> Iterator[Problem]:
         yield from super().find_problems()
@@ -229,6 +242,28 @@ class Recorded(SourceSettings):
                 f"poses that are read give no partner for pairing {self.pairing}: "
                 "use pairing rendered or nearest",
             )
+
+    def list_helpers(self, spec: NetworkSpec, pins: bool) -> tuple[str, ...]:
+        if spec.role == "unshears":
+            reads = (POSENET_SHEARED,) if self.unlabelled == "read" else ()
+            return reads + ((RENDERER,) if self.pairing in RENDERED_PAIRINGS else ())
+        if spec.learns_from == "slides":
+            return (RENDERER,) if self.direct_taps == "rendered" else ()
+        return (RENDERER,) if pins and spec.name != RENDERER else ()
+
+    def select_for(self, spec: NetworkSpec, pose: object) -> DataSettings:
+        takes_taps_alone = spec.learns_from == "taps"
+        used = replace(
+            self,
+            labelled=1.0 if takes_taps_alone else self.labelled,
+            direct_taps=self.direct_taps if spec.name == POSENET_SHEARED else "none",
+        )
+        if spec.role == "unshears":
+            return used
+        # of the pairings only posenet_sheared uses one, if it learns from simulated slides
+        simulated = not takes_taps_alone and self.pairing == "simulated"
+        pairing: PairingMethod = "simulated" if simulated else "rendered"
+        return replace(used, pairing=pairing, pairs="", unlabelled="left_out")
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,9 @@
 >>> config.training.losses, config.digest
 
 A config holds all that decides the weights of a network, and nothing else: two experiments whose
-configs are equal can share the training, as the rows of a sweep do. Four functions derive it from
-an experiment: `_list_helpers` the networks that it learns from, `_select_source` its data,
-`_select_training` its losses and schedule, `_select_net` its size and parts.
+configs are equal can share the training, as the rows of a sweep do. It is derived from an
+experiment: `_list_helpers` lists the networks that it learns from, `select_for` of the source
+selects its data, `_select_training` its losses and schedule, `_select_net` its size and parts.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from functools import cached_property
 from typing import cast
 
 from jaxunshear.config.configs import compute_digest
-from jaxunshear.config.data import PairedData, PairingMethod, PoseData, Recorded, SourceSettings
+from jaxunshear.config.data import DataSettings, PoseData
 from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.losses import InputKind
 from jaxunshear.config.networks import (
@@ -48,7 +48,7 @@ class NetworkConfig:
 
     name: str
     modality: InputKind
-    source: SourceSettings | PoseData  # the set that it learns from
+    source: DataSettings  # the set that it learns from
     taps: PoseData | None  # simulated taps without slides that it learns from as well
     sensor: Sensor
     net: NetSettings
@@ -76,7 +76,7 @@ def resolve_network(experiment: Experiment, name: str) -> NetworkConfig:
     return NetworkConfig(
         name=name,
         modality="pins" if pins or name == RENDERER else "images",
-        source=_select_source(experiment, spec),
+        source=experiment.paired.select_for(spec, experiment.pose),
         taps=cast(PoseData, experiment.pose) if learns_from_taps else None,
         sensor=experiment.sensor,
         net=_select_net(experiment, spec),
@@ -119,40 +119,12 @@ def takes_taps(experiment: Experiment) -> bool:
     return any(config.taps or config.source is experiment.pose for config in configs)
 
 
-def _list_helpers(experiment: Experiment, spec: NetworkSpec) -> list[str]:
-    """List the networks that a network learns from: what it needs each of them for."""
-    paired, pins, unshears = experiment.paired, uses_pins(experiment), spec.role == "unshears"
+def _list_helpers(experiment: Experiment, spec: NetworkSpec) -> tuple[str, ...]:
+    """List the networks that a network learns from: by its losses, and by its data."""
+    pins = uses_pins(experiment)
     training = experiment.train_pins if pins else experiment.train
-    is_needed = {TEACHER: unshears and uses_teacher(training)}
-    if isinstance(paired, Recorded):
-        is_needed[POSENET_SHEARED] = unshears and paired.unlabelled == "read"
-        if unshears:
-            is_needed[RENDERER] = paired.pairing in ("rendered", "simulated")
-        elif spec.learns_from == "slides":
-            is_needed[RENDERER] = paired.direct_taps == "rendered"
-        else:
-            is_needed[RENDERER] = pins and spec.name != RENDERER
-    return [name for name, needed in is_needed.items() if needed]
-
-
-def _select_source(experiment: Experiment, spec: NetworkSpec) -> SourceSettings | PoseData:
-    """Select the set that a network learns from, settings that it does not use at defaults."""
-    paired, takes_taps_alone = experiment.paired, spec.learns_from == "taps"
-    if isinstance(paired, PairedData):
-        return cast(PoseData, experiment.pose) if takes_taps_alone else paired
-    if not isinstance(paired, Recorded):
-        return paired
-    used = replace(
-        paired,
-        labelled=1.0 if takes_taps_alone else paired.labelled,
-        direct_taps=paired.direct_taps if spec.name == POSENET_SHEARED else "none",
-    )
-    if spec.role == "unshears":
-        return used
-    # of the pairings only posenet_sheared uses one, if it learns from simulated slides
-    simulated = not takes_taps_alone and paired.pairing == "simulated"
-    pairing: PairingMethod = "simulated" if simulated else "rendered"
-    return replace(used, pairing=pairing, pairs="", unlabelled="left_out")
+    teacher = (TEACHER,) if spec.role == "unshears" and uses_teacher(training) else ()
+    return teacher + experiment.paired.list_helpers(spec, pins)
 
 
 def _select_training(experiment: Experiment, spec: NetworkSpec) -> Training:

@@ -89,7 +89,7 @@ class ExportCamera(NamedTuple):
 def read_camera(path: Path, preprocess: Preprocess, view: View | None) -> ExportCamera:
     """Read an image of a camera, or a folder of them. Raises UserError.
 
-    `view` is that of the model, if it has one.
+    `view` crops the frames; without it the crop is found in them.
     """
     recordings = read_recordings(path, preprocess)
     box = (view or recordings.find_common_view()).box
