@@ -75,7 +75,7 @@ def compute_recovery(
     unsheared: float | None, sheared: float | None, tap: float | None
 ) -> float | None:
     """Compute the part of a slide's damage that is undone; None if it does no damage."""
-    if sheared is None or unsheared is None or tap is None or sheared <= tap:
+    if sheared is None or unsheared is None or tap is None or not sheared > tap:
         return None
     return (sheared - unsheared) / (sheared - tap)
 
@@ -85,9 +85,10 @@ def compute_recovery_interval(
 ) -> list[float] | None:
     """Compute the interval of the recovery from resampled errors (RESAMPLES,).
 
-    None if the slide does no damage in one of the resamples, as the recovery then has no bounds.
+    None if the slide does no damage in one of the resamples, as the recovery then has no bounds,
+    or if an error is NaN.
     """
-    if np.any(sheared <= tap):
+    if not np.all(sheared > tap):
         return None
     return compute_interval((sheared - unsheared) / (sheared - tap))
 

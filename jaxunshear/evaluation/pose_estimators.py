@@ -62,7 +62,12 @@ def fit_ridge(features: np.ndarray, outputs: np.ndarray) -> Ridge:
     """Fit outputs (N, K) to features (N, F) without NaN; the same examples give the same bits.
 
     Kernel and ridge are those that do best on every fifth example after a fit to the others.
+    Raises ValueError if there are fewer than MIN_EXAMPLES.
     """
+    if len(features) < MIN_EXAMPLES:
+        raise ValueError(
+            f"{len(features)} examples are too few for a ridge: {MIN_EXAMPLES} at least"
+        )
     features, outputs = features.astype(np.float64), outputs.astype(np.float64)
     feature_mean = features.mean(axis=0)
     scaled = features - feature_mean

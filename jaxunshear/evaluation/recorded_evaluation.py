@@ -224,9 +224,8 @@ def _score_split(
     `paired` says whether slides have partners, and is None for taps. A slide without partner, and a
     tap, stand for both contacts of a pair.
     """
-    sources: dict[
-        str, str
-    ] = {}  # the field of the reader, by the field of a pair that it stands for
+    # the field of the reader, by the field of a pair that it stands for
+    sources: dict[str, str] = {}
     for each in (modality, PINS):
         alone = each.single if paired is None else each.sheared
         sources |= {each.canonical: each.canonical if paired else alone, each.sheared: alone}

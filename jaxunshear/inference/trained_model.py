@@ -75,8 +75,9 @@ class TrainedModel:
     """Networks for binary images (B, S, S), uint8 of {0, 255} or bool, from `prepare`.
 
     Results are NaN for images that are rejected: their pins are not those of the model's sensor
-    or, for pin networks, cannot be identified. Networks are loaded when they are first used; that
-    raises UserError if one is missing, damaged or not finished.
+    or, for pin networks, cannot be identified. Networks are loaded when they are first used, and
+    kept: load the model again after a training. Raises UserError if one is missing, damaged or not
+    finished.
     """
 
     folder: Path

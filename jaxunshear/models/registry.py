@@ -16,7 +16,6 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxunshear.config import networks
-from jaxunshear.config import networks as names
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.models import pin_networks, posenet, unet, unshearnet
 from jaxunshear.models.modality import IMAGES, PINS, Modality
@@ -136,8 +135,8 @@ def register_network(
     `title` is that of its images in tables and figures. Raises UserError if another network has
     this name.
     """
-    names.add_network(
-        names.NetworkSpec(
+    networks.add_network(
+        networks.NetworkSpec(
             name,
             "unshears",
             "pairs",

@@ -49,7 +49,7 @@ def convert_record(content: object, kind: type[Record], source: object, remedy: 
         raise UserError(f"{source} lacks {lacks}: {remedy}") from error
 
 
-TIMES = "times.json"
+TIMES = "times.json"  # seconds of each stage of a run, added up over its commands
 
 
 def read_times(run_dir: Path) -> dict[str, float]:

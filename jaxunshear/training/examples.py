@@ -26,10 +26,11 @@ from jaxunshear.data.reader import Batch, Reader, group_by_pose
 from jaxunshear.data.recorded_set import PoseEstimator, RecordedSet, SlideSimulator, TapRenderer
 from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.data.stored_sets import SetReader, open_set
+from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import IMAGES, PINS
-from jaxunshear.training.checkpoint import load_network
+from jaxunshear.training.checkpoint import MODEL, TrainedNetwork, load_network
 from jaxunshear.training.losses import ANOTHER, ONE, TAPS
 
 POSES_AT_ONCE = 1024
@@ -59,7 +60,7 @@ class HelperLoader:
 
     def load_renderer(self) -> TapRenderer:
         """Load the renderer as a function of poses (N, 6). Raises UserError."""
-        net, variables, targets = load_network(self.run_dir / RENDERER)
+        net, variables, targets = load_helper(self.run_dir / RENDERER, "pairs that are rendered")
         run = jax.jit(partial(pin_networks.render_pins, net, variables))
 
         def render_part(poses: np.ndarray) -> ArrayLike:
@@ -75,7 +76,9 @@ class HelperLoader:
 
         It returns poses (N, 6), 0 in columns that are not among its targets.
         """
-        net, variables, targets = load_network(self.run_dir / POSENET_SHEARED)
+        net, variables, targets = load_helper(
+            self.run_dir / POSENET_SHEARED, "slides without labels"
+        )
         over_pins = self.experiment.unshear.input == "pins"
         predict = partial((pin_networks if over_pins else posenet).predict, net, variables)
         run = jax.jit(lambda inputs: posenet.unscale_outputs(predict(inputs), targets))
@@ -98,6 +101,13 @@ class HelperLoader:
         from jaxunshear.training.simulated_slides import make_slide_simulator
 
         return make_slide_simulator(stored, self.experiment.sensor, self.data_dir)
+
+
+def load_helper(folder: Path, learners: str) -> TrainedNetwork:
+    """Load a network that others learn from, named by `learners`. Raises UserError."""
+    if not (folder / MODEL).exists():
+        raise UserError(f"{folder} is missing, and {learners} need it: train {folder.name} first")
+    return load_network(folder)
 
 
 def read_all_training(reader: Reader, *fields: str) -> Batch:

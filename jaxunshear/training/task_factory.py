@@ -27,8 +27,7 @@ from jaxunshear.training.augmentation import (
     make_randomisation,
     make_rotations,
 )
-from jaxunshear.training.checkpoint import load_network
-from jaxunshear.training.examples import measure_pin_spread, read_all_training
+from jaxunshear.training.examples import load_helper, measure_pin_spread, read_all_training
 from jaxunshear.training.provenance import check_origin
 
 
@@ -136,6 +135,6 @@ def _make_rotations(examples: Examples) -> Rotations:
 
 def _load_helper(experiment: Experiment, network: str, folder: Path) -> tuple[Net, Variables]:
     """Load settings and variables of a network that another learns from. Raises UserError."""
-    net, variables, _ = load_network(folder / network)
+    net, variables, _ = load_helper(folder / network, "other networks")
     check_origin(experiment, network, folder)
     return net, variables

@@ -121,6 +121,10 @@ def test_sensor_camera_and_friction_are_the_calibrated_ones():
         ("[]", "holds no preset"),
         ('{"rows": []}', "holds no preset"),
         ('{"preset": {"friction": 0.3}}', r"preset\.camera is missing, preset\.sensor is missing"),
+        (
+            '{"preset": {"sensor": {}, "camera": {}, "friction": 0.3}}',
+            r"preset\.sensor\.dome_radius_mm is missing",
+        ),
     ],
 )
 def test_files_that_give_no_sensor_are_refused_in_one_line(tmp_path, text, reported):

@@ -106,6 +106,7 @@ def test_what_does_not_vary_is_no_target(ranges, names):
     ("text", "ranges"),
     [
         ("x_mm", Ranges(lateral_mm=0)),
+        ("yaw_deg", Ranges(yaw_deg=0)),
         ("edge_deg:circle", Ranges(lateral_mm=0, yaw_deg=0)),
         ("depth_mm", Ranges(depth_min_mm=2, depth_max_mm=2)),
     ],

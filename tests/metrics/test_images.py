@@ -96,6 +96,7 @@ def test_jit_and_eager_agree():
 )
 def test_scales_that_fit(size, scales):
     assert images.count_scales(size) == scales
+    assert images.format_ms_ssim_name(scales) == ("ms_ssim" if scales == 5 else f"ms_ssim@{scales}")
 
 
 def test_the_least_size_of_five_scales_works_and_one_less_is_refused():

@@ -187,3 +187,8 @@ def test_partners_of_codes_that_are_apart(apart, images):
     codes, _ = network.apply(apart, images, True, method="encode", mutable=["batch_stats"])
     for z, expected in zip((alone.z_p, alone.z_s), codes, strict=True):
         np.testing.assert_allclose(z, expected, atol=1e-6)
+
+
+def test_a_wrong_image_size_is_refused(variables):
+    with pytest.raises((TypeError, ValueError)):
+        unshearnet.unshear(NET, variables, jnp.zeros((1, 30, 30, 1)))

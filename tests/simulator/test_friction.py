@@ -95,6 +95,13 @@ def test_tiny_frictions_give_stuck_from_slipping(system, friction):
         assert count(held.at[..., :2].multiply(0.5), 0.0) == [99, 0, 0]
 
 
+def test_no_contact_needs_no_iteration(system):
+    poses = np.zeros((3, 2, 6))
+    poses[..., 3], poses[..., 0] = -0.01, np.linspace(0, 5, 3)[:, None]
+    skin, quality = follow(system, poses)
+    assert not any(map(np.any, (skin.force, skin.displacement, quality.iterations)))
+
+
 def test_a_scene_that_failed_is_not_waited_for_and_harms_no_other(system, slides):
     """One of two cannot converge: it says so, and costs no more than its failed increment."""
     poses = np.repeat(slides[:, 1:2], 2, axis=1)

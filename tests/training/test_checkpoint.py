@@ -83,12 +83,15 @@ def test_no_damage_goes_unseen(folder, tmp_path_factory, damage):
 
 
 @pytest.mark.parametrize(
-    ("step", "way"), [(6, "00000006 to go on from the one before"), (5, " to train from the start")]
+    ("step", "way"),
+    [(6, ".*00000006 to go on from the one before"), (5, "{folder} to train from the start")],
 )
 def test_damage_names_the_way_back_if_there_is_one(folder, step, way):
     checkpoint.save(folder, 6, STATE, RECORD)
     (folder / "checkpoints" / f"0000000{step}" / "record.json").write_text("{")
-    with pytest.raises(UserError, match=f"0000000{step} is damaged.*: delete .*{way}"):
+    with pytest.raises(
+        UserError, match=f"0000000{step} is damaged.*: delete {way.format(folder=folder)}"
+    ):
         checkpoint.restore(folder, step, STATE)
 
 
@@ -144,12 +147,20 @@ def test_broken_settings_are_refused(tmp_path, text):
         checkpoint.read_net(tmp_path)
 
 
-@pytest.mark.parametrize("error", [MemoryError(), PermissionError(13, "Permission denied")])
-def test_nobody_is_asked_to_delete_what_the_machine_could_not_read(folder, monkeypatch, error):
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "not enough memory"),
+        (PermissionError(13, "Permission denied"), "Permission"),
+    ],
+)
+def test_nobody_is_asked_to_delete_what_the_machine_could_not_read(
+    folder, monkeypatch, error, said
+):
     def refuse(*_):
         raise error
 
     monkeypatch.setattr(checkpoint.ocp.Checkpointer, "restore", refuse)
-    with pytest.raises(UserError, match=r"not enough memory|Permission") as refusal:
+    with pytest.raises(UserError, match=said) as refusal:
         checkpoint.load_best(folder)
     assert "to train from the start" not in str(refusal.value)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
+from jaxunshear.training import checkpoint
 from jaxunshear.training.monitor import check_state, check_terms
 from jaxunshear.training.step import State
 
@@ -61,3 +62,11 @@ def test_any_part_of_the_state_is_checked_at(tmp_path, part):
     spoilt = sound._replace(**{part: {"E": {"kernel": jnp.array([1.0, np.inf, 0.0])}}})
     with pytest.raises(UserError, match=rf"stopped: {part}\.E\.kernel not finite at step 7"):
         check_state(spoilt, 7, SOUND, tmp_path)
+
+
+def test_what_is_kept_is_said(tmp_path):
+    broken, state = {"patch": np.nan}, {"average": {"params": {"E": jnp.ones(2)}}}
+    assert "no checkpoint was written yet" in line(tmp_path, broken)
+    for step, kept in ((4, "step 4"), (6, "step 6 and the better one of step 4")):
+        checkpoint.save(tmp_path / "run", step, state, {"best_step": 4, "history": []})
+        assert f"the checkpoint of {kept} is kept;" in line(tmp_path, broken)

@@ -196,3 +196,15 @@ def test_exchanged_codes_are_compared_in_validation_too():
     alike = task.validate(variables, given | dict.fromkeys(partners, given["sheared_pins"]))
     np.testing.assert_allclose(alike["counterfactual"], alike["reconstruction"], rtol=1e-5)
     assert np.all(alike["code_agreement"] == 0)
+
+
+@pytest.mark.parametrize("loss", ["pose_tap", "pose_label"])
+def test_a_teacher_asks_for_the_true_pose_or_the_partners(loss):
+    supervision = Supervision(TARGETS, teacher=lambda pins: jax.nn.sigmoid(pins[:, :3, 0] - 50))
+    _, task, variables = make_task(name_losses(**{loss: 1.0}), supervision)
+    given, other_taps = batch(), batch()["canonical_pins"] + 3
+    first = task.validate(variables, given)[loss]
+    other = task.validate(variables, given | {"canonical_pins": other_taps})[loss]
+    turned = task.validate(variables, given | {"pose": POSES[::-1]})[loss]
+    assert np.any(other != first) == (loss == "pose_tap")
+    assert np.any(turned != first) == (loss == "pose_label")

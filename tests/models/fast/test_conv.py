@@ -105,3 +105,8 @@ def test_blocks_there_and_back():
     blocks = conv.to_blocks(x)
     np.testing.assert_array_equal(conv.from_blocks(blocks), x)
     np.testing.assert_array_equal(blocks[1, 1, 2].reshape(2, 2, 3), x[1, 2:4, 4:6])
+
+
+def test_wrong_channels_are_refused():
+    with pytest.raises((TypeError, ValueError)):
+        conv.conv_valid(draw_normal(1, 4, 4, 3), draw_normal(2, 2, 5, 1))
