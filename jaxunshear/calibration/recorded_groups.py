@@ -1,5 +1,6 @@
 """Recorded images of a calibration: sampled folder by folder, and read as groups of contacts."""
 
+import contextlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from jaxunshear.data.recordings import (
     IMAGE_FOLDERS,
     RecordedFrame,
     Recordings,
-    read_first_image,
+    read_image,
     read_recordings,
 )
 from jaxunshear.errors import UserError
@@ -141,9 +142,12 @@ def are_among(names: Sequence[str], used: Collection[str]) -> np.ndarray:
 def _open_recordings(path: Path) -> Recordings:
     """Open recordings at the size of their images."""
     recordings, size = read_recordings(path, Preprocess()), RAW_PX
-    first = read_first_image(recordings.files)
-    if first is not None and is_binary(grey := to_grey(first)):
-        size = int(np.clip(min(grey.shape), *SIZES_PX))
+    for file in recordings.files:
+        with contextlib.suppress(UserError):  # `iterate_frames` will report it
+            first = to_grey(read_image(file))
+            if is_binary(first):
+                size = int(np.clip(min(first.shape), *SIZES_PX))
+            break
     return replace(recordings, preprocess=Preprocess(size=size))
 
 

@@ -44,7 +44,6 @@ DEFAULT_RAY_CORES = 2  # for each row or chunk
 
 
 def handle_stages(arguments: argparse.Namespace, command: str) -> int:
-
     ray_options = _read_engine_options(arguments)
     if arguments.command == "fit":
         experiment = _write_fit_experiment(arguments)
@@ -108,7 +107,6 @@ def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experimen
 
 
 def _apply_sensor(experiment: Experiment, arguments: argparse.Namespace) -> Experiment:
-
     file = arguments.sensor_from
     return apply_preset(experiment, file) if file else experiment
 
@@ -137,7 +135,6 @@ def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
 
 
 def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
-
     if arguments.fields or arguments.sensor_from:
         name = arguments.fields[0] if arguments.fields else "--sensor-from"
         raise UserError(
@@ -169,7 +166,6 @@ def _score_recordings(experiment: Experiment, arguments: argparse.Namespace, com
 
 
 def _read_sweep(arguments: argparse.Namespace, fields: Sequence[str]) -> Sweep:
-
     sweep = load_sweep(arguments.file)
     return override_base(replace(sweep, base=_apply_sensor(sweep.base, arguments)), fields)
 

@@ -154,14 +154,14 @@ def _find_type_problems(sweep: Sweep) -> Iterator[Problem]:
 def _find_axis_problems(sweep: Sweep) -> Iterator[Problem]:
     changes = []
     for fields, values in sweep.grid:
-        if not fields:
-            yield Problem("grid", FORMS["grid"])
         if not values:
             yield Problem("grid", f"lists no values for {fields}: give a tuple of some")
         changes += [("grid", fields, value) for value in values]
     for row in sweep.rows:
         changes += [("rows", fields, value) for fields, value in row]
     for place, fields, value in changes:
+        if not fields:
+            yield Problem(place, FORMS[place])
         has_each = isinstance(value, tuple) and len(value) == len(fields)
         if not (isinstance(fields, str) or has_each):
             yield Problem(place, f"needs tuples of a value each for {fields}")

@@ -108,7 +108,8 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
             with hold_lock(unfinished / "lock", wait=False) as is_free:
                 if not is_free:
                     raise UserError(
-                        f"another process is making the set in {unfinished}: wait, or stop it"
+                        f"another process is making the set in {unfinished}: "
+                        "wait for it, or stop it"
                     )
                 for incomplete in folder.parent.glob("incomplete.*"):
                     shutil.rmtree(incomplete)  # of a killed run: the lock excludes others

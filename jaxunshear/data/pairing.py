@@ -18,7 +18,6 @@ from jaxunshear.angles import wrap_degrees
 from jaxunshear.config.targets import RECORDED_FIELDS, Targets
 from jaxunshear.data.chunks import unpack_bits
 from jaxunshear.data.reader import Batch
-from jaxunshear.errors import UserError
 
 # Of the pins' spacing: how far beyond the outermost pins an image moves with them.
 MAX_OUTSIDE_SPACINGS = 0.75
@@ -47,7 +46,6 @@ def pair_with_taps(slides: Batch, taps: Batch, targets: Targets, method: str) ->
     """Pair slides with the tap of the "nearest" pose by `targets`, or of the same `pose_id`.
 
     "pose_id" requires the same pose, too; "file" does not. Slides without such a tap are left out.
-    Raises UserError if that is all of them.
     """
     if method == "nearest":
         row, distance = find_nearest(targets, slides["pose"], taps["pose"])
@@ -55,11 +53,6 @@ def pair_with_taps(slides: Batch, taps: Batch, targets: Targets, method: str) ->
     else:
         row = match_same_pose(slides, taps, checked=method == "pose_id")
         slides, row = take_rows(slides, row >= 0), row[row >= 0]
-        if not len(row):
-            raise UserError(
-                "no slide has a tap of its pose_id at its pose: record taps and slides "
-                "of the same poses, or use --paired.pairing rendered"
-            )
         weight = np.ones(len(row), np.float32)
     pairs = slides | {
         "canonical": taps["image"][row],

@@ -118,7 +118,8 @@ def _select_taps(recordings: Recordings) -> RecordedContacts:
     has_moved = _find_moves(contacts.move)
     if has_moved.all():
         raise UserError(f"{recordings.path} holds no taps: each contact has a move in its labels")
-    return _drop(contacts, has_moved, "have a move in their labels: no taps, left out")
+    why = f"of {recordings.path} have a move in their labels: no taps, left out"
+    return _drop(contacts, has_moved, why)
 
 
 def _drop(contacts: RecordedContacts, dropped: np.ndarray, why: str) -> RecordedContacts:

@@ -135,15 +135,24 @@ class RecordedSet:
             if simulate and split != "test":
                 return self._simulate_slides(split, simulate, images)
             slides = self._select_slides(split, estimate, images)
-            taps = self.read_labelled_taps("train")
             if method in RENDERED_PAIRINGS:
-                assert render is not None
-                warp = self._make_image_warper() if images else None
+                if render is None:
+                    raise ValueError(f"pairing '{method}' takes a renderer")
+                if not images:
+                    return pairing.pair_with_renderings(slides, targets, render)
+                taps, warp = self.read_labelled_taps("train"), self._make_image_warper()
                 return pairing.pair_with_renderings(slides, targets, render, taps, warp)
+            taps = self.read_labelled_taps("train")
             # a tap of another held-out split would let that split choose the checkpoint
             if split != "train":
                 taps = _concatenate(taps, self.read_labelled_taps(split))
-            return pairing.pair_with_taps(slides, taps, targets, method)
+            pairs = pairing.pair_with_taps(slides, taps, targets, method)
+            if method != "nearest" and not len(pairs["pose"]):
+                raise UserError(
+                    f"no {split} slide has a tap of its pose_id at its pose: record taps and "
+                    "slides of the same poses, or use --paired.pairing rendered"
+                )
+            return pairs
 
         return Reader(load, self.size)
 

@@ -76,8 +76,10 @@ def read_metadata(settings: DataSettings, sensor: Sensor, data_dir: Path) -> dic
     stored = {key: metadata.get(key) for key in expected}
     changes = configs.list_differences(stored, expected)
     if changes:
+        more = f" and {len(changes) - MAX_CHANGES} more" if len(changes) > MAX_CHANGES else ""
         raise UserError(
-            f"the data set in {folder} was made with another {', '.join(changes[:MAX_CHANGES])}: "
+            f"the data set in {folder} was made with another "
+            f"{', '.join(changes[:MAX_CHANGES])}{more}: "
             "delete that folder, or use another data folder"
         )
     return metadata
