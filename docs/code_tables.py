@@ -19,14 +19,29 @@ PARTS = {"all": "all", "sticking": "not all of the skin slips", "slipped": "all 
 
 
 def tabulate_parted_skin() -> str:
-    """Tabulate R2 of the strongest probe for both leaks of recorded slides, beside its ceiling."""
+    """Tabulate the leaks of codes of recorded pins."""
+    return _tabulate_leaks("parted_skin", "recorded, pins")
+
+
+def tabulate_parted_skin_images() -> str:
+    """Tabulate the leaks of codes of recorded images."""
+    return _tabulate_leaks("parted_skin_images", "recorded, images")
+
+
+def tabulate_parted() -> str:
+    """Tabulate the leaks of codes of simulated pins."""
+    return _tabulate_leaks("parted", "simulated, pins")
+
+
+def _tabulate_leaks(name: str, head: str) -> str:
+    """Tabulate R2 of the strongest probe for both leaks, beside its ceiling."""
     heads = [
         f"{leak}: {field}"
         for leak in LEAKS
         for field in ("R2", "share of ceiling", "largest share")
     ]
-    lines = start_table(format_line("recorded, pins", heads))
-    for cell in load_cells("parted_skin"):
+    lines = start_table(format_line(head, heads))
+    for cell in load_cells(name):
         shares = [
             format_seeds(cell.ablation[f"{leak}/{field}"])
             for leak in LEAKS
@@ -37,11 +52,20 @@ def tabulate_parted_skin() -> str:
 
 
 def tabulate_parted_skin_errors() -> str:
-    """Tabulate errors of unsheared recorded slides, and the standard scores of the codes."""
+    """Tabulate errors of unsheared recorded pins, and the standard scores of their codes."""
+    return _tabulate_recorded_errors("parted_skin", "recorded, pins")
+
+
+def tabulate_parted_skin_images_errors() -> str:
+    """Tabulate errors of unsheared recorded images, and the standard scores of their codes."""
+    return _tabulate_recorded_errors("parted_skin_images", "recorded, images")
+
+
+def _tabulate_recorded_errors(sweep: str, head: str) -> str:
     scores = ("MIG", "SAP", "DCI disentanglement")
     heads = ["unsheared: y, mm", "z, mm", "Rz, deg", "slide x, mm", "slide y, mm", *scores]
-    lines = start_table(format_line("recorded, pins", heads))
-    for cell in load_cells("parted_skin"):
+    lines = start_table(format_line(head, heads))
+    for cell in load_cells(sweep):
         cells = format_figures(cell.metrics, RECORDED_TARGETS, "pose/disentangled/")
         cells += [format_seeds(cell.ablation[f"slide_{axis}_mm, all/mae"]) for axis in "xy"]
         cells += [f"{cell.ablation[f'standard scores/{name}'].mean:.2f}" for name in scores]
@@ -53,17 +77,15 @@ def tabulate_parted_pins() -> str:
     """Tabulate likeness, pins and edge errors of the simulated networks, and what DS draws."""
     lines = start_table(
         "| | MS-SSIM@4 | pins, px rms | edge distance, mm | edge angle, deg "
-        "| DS, codes exchanged, px | of its own, px |"
+        "| DS, codes exchanged, px | of its own, px | exchanged over own |"
     )
     cells = load_cells("parted")
-    lines.append(format_line("tap", ["1", "0", *_format_edge(cells[0], "tap"), "", ""]))
-    lines.append(format_line("sheared", [*_format_images(cells[0], "sheared"), "", ""]))
+    lines.append(format_line("tap", ["1", "0", *_format_edge(cells[0], "tap"), "", "", ""]))
+    lines.append(format_line("sheared", [*_format_images(cells[0], "sheared"), "", "", ""]))
     for cell in cells:
-        drawn = [
-            format_seeds(cell.ablation[f"DS, codes {codes}/rms_px"])
-            for codes in ("exchanged", "both of its own")
-        ]
-        lines.append(format_line(cell.label, [*_format_images(cell, "disentangled"), *drawn]))
+        drawn = [cell.ablation[f"DS, codes {codes}/rms_px"] for codes in (EXCHANGED, OWN)]
+        figures = [*map(format_seeds, drawn), format_ratio(*drawn)]
+        lines.append(format_line(cell.label, [*_format_images(cell, "disentangled"), *figures]))
     return "\n".join(lines)
 
 

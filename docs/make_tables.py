@@ -20,8 +20,7 @@ from docs.reading import USED
 
 TABLES = {
     "README.md": (
-        recorded_tables.tabulate_real_skin,
-        simulated_tables.tabulate_demo,
+        partial(recorded_tables.tabulate_real_skin, "pins"),
         simulated_tables.tabulate_standard_first,
     ),
     "docs/your-own-recordings.md": (
@@ -34,6 +33,7 @@ TABLES = {
     "docs/unshear-or-directly.md": (
         partial(recorded_tables.tabulate_rivals, "rivals"),
         partial(recorded_tables.tabulate_rivals, "rivals_block"),
+        partial(recorded_tables.tabulate_real_skin, "images"),
         recorded_tables.tabulate_rivals_images,
         recorded_tables.tabulate_rivals_epochs,
     ),
@@ -71,6 +71,7 @@ TABLES = {
         simulated_tables.tabulate_ridge,
         simulated_tables.tabulate_tenth,
         simulated_tables.tabulate_tenth_poses,
+        simulated_tables.tabulate_demo,
         simulated_tables.tabulate_frontier,
     ),
     "docs/ablations.md": (

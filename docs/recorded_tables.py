@@ -45,27 +45,22 @@ def _name_target(target: str) -> str:
     return target.replace("_", ", ")
 
 
-def tabulate_real_skin() -> str:
-    """Tabulate errors over pins and images: same session with intervals, and other recordings."""
-    modalities = ("pins", "images")
-    columns = [(name, target, digits) for name in modalities for target, digits in TARGETS.items()]
-    metrics = {name: load_cells(f"recorded_{name}")[0].metrics for name in modalities}
-    locked = {name: load_locked_scores(f"recorded_{name}_seed0") for name in modalities}
-    heads = [
-        f"{name}: {_name_target(target)}: same session | {OTHER}" for name, target, _ in columns
-    ]
-    lines = start_table(format_line("a PoseNet that learnt from taps reads", heads))
+def tabulate_real_skin(modality: str) -> str:
+    """Tabulate errors on a real sensor: same session with intervals, and other recordings."""
+    metrics = load_cells(f"recorded_{modality}")[0].metrics
+    locked = load_locked_scores(f"recorded_{modality}_seed0")
+    heads = [f"{_name_target(target)}: same session | {OTHER}" for target in TARGETS]
+    lines = start_table(format_line(f"{modality}: a PoseNet that learnt from taps reads", heads))
     for label, key in ROWS.items():
         cells = []
-        for name, target, digits in columns:
-            same_session = format_interval(metrics[name][f"{key}/{target}"], digits)
-            cells.append(f"{same_session} | {_get_locked(locked[name], key, target):.{digits}f}")
+        for target, digits in TARGETS.items():
+            same_session = format_interval(metrics[f"{key}/{target}"], digits)
+            cells.append(f"{same_session} | {_get_locked(locked, key, target):.{digits}f}")
         lines.append(format_line(label, cells))
     recoveries = []
-    for name, target, _ in columns:
-        same_session = format_interval(metrics[name][f"pose_recovery/disentangled/{target}"], 2)
-        other = locked[name][f"pose_recovery.disentangled.{target}"]
-        recoveries.append(f"{same_session} | {other:.2f}")
+    for target in TARGETS:
+        same_session = format_interval(metrics[f"pose_recovery/disentangled/{target}"], 2)
+        recoveries.append(f"{same_session} | {locked[f'pose_recovery.disentangled.{target}']:.2f}")
     lines.append(format_line("recovery: the share of the slide's damage undone", recoveries))
     return "\n".join(lines)
 
