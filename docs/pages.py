@@ -1,7 +1,6 @@
 """Changes pages for `make docs`.
 
-README becomes the first page, files at the top of the repository become pages, and the flow that a
-forge draws becomes a picture.
+README becomes the first page, and files at the top of the repository become pages.
 """
 
 import re
@@ -25,7 +24,6 @@ LINKED_MODULES = (
     "models/registry.py",
     "data/sources.py",
 )
-FLOW = "![The way of the data](figures/flow.svg)"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -49,7 +47,6 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Change links to lead from the site's folder: all pages lie where docs/ does."""
-    text = re.sub(r"```mermaid\n.*?```", FLOW, text, flags=re.DOTALL)
     text = text.replace("](../", "](").replace("](docs/", "](")
     text = re.sub(
         r"\]\(((?:examples|experiments|jaxunshear)/[\w/.]+\.(?:py|cpp))\)", r"](\1.txt)", text
