@@ -60,17 +60,17 @@ class Experiment:
     def find_problems(self) -> Iterator[Problem]:
         if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", self.name):
             remedy = "use letters, digits, '-', '_' and '.'; it names the folder of the results"
-            yield Problem("name", remedy)
+            yield "name", remedy
         known = ", ".join(list_networks())
         if not self.networks:
-            yield Problem("networks", f"name at least one of {known}")
+            yield "networks", f"name at least one of {known}"
         if len(set(self.networks)) < len(self.networks):
-            yield Problem("networks", "name each network once")
+            yield "networks", "name each network once"
         if unknown := ", ".join(name for name in self.networks if name not in list_networks()):
             remedy = f"use one of {known}, or name the experiment file that registers it"
-            yield Problem("networks", f"{unknown} is unknown: {remedy}")
+            yield "networks", f"{unknown} is unknown: {remedy}"
         if len(set(list_stimulus_names(self.unseen))) < len(self.unseen):
-            yield Problem("unseen", "name each stimulus once")
+            yield "unseen", "name each stimulus once"
 
 
 def uses_pins(experiment: Experiment) -> bool:

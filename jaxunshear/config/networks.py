@@ -46,10 +46,10 @@ class UnshearNet:
 
     def find_problems(self) -> Iterator[Problem]:
         if len(self.widths) < 2:
-            yield Problem("widths", "list at least two")
+            yield "widths", "list at least two"
         if self.size % 2 ** len(self.widths):
             divisor = 2 ** len(self.widths)
-            yield Problem("size", f"is not divisible by {divisor}: each width halves the image")
+            yield "size", f"is not divisible by {divisor}: each width halves the image"
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,9 @@ class PoseNet:
 
     def find_problems(self) -> Iterator[Problem]:
         if len(self.widths) != 5:
-            yield Problem("widths", "list five: PoseNet has five convolutions")
+            yield "widths", "list five: PoseNet has five convolutions"
         if self.size % 16:
-            yield Problem("size", "is no multiple of 16, which PoseNet's strides and pooling need")
+            yield "size", "is no multiple of 16, which PoseNet's strides and pooling need"
 
 
 @dataclass(frozen=True)

@@ -80,27 +80,24 @@ class Sensor:
 
     def find_problems(self) -> Iterator[Problem]:
         if self.layout not in LAYOUTS:
-            yield Problem("layout", _explain_layouts())
+            yield "layout", _explain_layouts()
         for name, value in vars(self).items():
             if isinstance(value, float) and not math.isfinite(value):
-                yield Problem(name, "must be finite")
+                yield name, "must be finite"
         spacing = self.pin_spacing_mm
         if 2 * self.pin_radius_mm >= spacing:
             remedy = f"pins {spacing:g} mm apart would overlap: use less than half of that"
-            yield Problem("pin_radius_mm", remedy)
+            yield "pin_radius_mm", remedy
         if self.skin_mm + self.pin_length_mm >= self.dome_radius_mm:
-            yield Problem("dome_radius_mm", "must exceed skin_mm + pin_length_mm")
+            yield "dome_radius_mm", "must exceed skin_mm + pin_length_mm"
         places = self.place_pins()
         is_sound = places.ndim == 2 and places.shape[1:] == (2,) and np.isfinite(places).all()
         if not (is_sound and len(places)):
-            yield Problem("layout", f"must place pins at finite (P, 2) mm, not {places.shape}")
+            yield "layout", f"must place pins at finite (P, 2) mm, not {places.shape}"
         rim, reach = self.dome_radius_mm * math.pi / 2, np.linalg.norm(places, axis=-1).max()
         if reach >= rim:
-            yield Problem(
-                "rings" if self.has_rings else "layout",
-                f"pins {reach:.1f} mm from the apex go past the dome's rim at {rim:.1f} mm: "
-                "use fewer or closer ones",
-            )
+            problem = f"pins {reach:.1f} mm from the apex go past the dome's rim at {rim:.1f} mm"
+            yield "rings" if self.has_rings else "layout", f"{problem}: use fewer or closer ones"
 
 
 LayoutFunction = Callable[[Sensor], object]

@@ -144,27 +144,27 @@ def _find_type_problems(sweep: Sweep) -> Iterator[Problem]:
     hints = list_hints(Sweep)
     for field, remedy in FORMS.items():
         if not is_of_type(getattr(sweep, field), hints[field]):
-            yield Problem(field, remedy)
+            yield field, remedy
     if not all(sweep.labels):
-        yield Problem("labels", FORMS["labels"])
+        yield "labels", FORMS["labels"]
     if not sweep.seeds or not all(0 <= seed <= MAX_SEED for seed in sweep.seeds):
-        yield Problem("seeds", FORMS["seeds"])
+        yield "seeds", FORMS["seeds"]
 
 
 def _find_axis_problems(sweep: Sweep) -> Iterator[Problem]:
     changes = []
     for fields, values in sweep.grid:
         if not values:
-            yield Problem("grid", f"lists no values for {fields}: give a tuple of some")
+            yield "grid", f"lists no values for {fields}: give a tuple of some"
         changes += [("grid", fields, value) for value in values]
     for row in sweep.rows:
         changes += [("rows", fields, value) for fields, value in row]
     for place, fields, value in changes:
         if not fields:
-            yield Problem(place, FORMS[place])
+            yield place, FORMS[place]
         has_each = isinstance(value, tuple) and len(value) == len(fields)
         if not (isinstance(fields, str) or has_each):
-            yield Problem(place, f"needs tuples of a value each for {fields}")
+            yield place, f"needs tuples of a value each for {fields}"
 
 
 def _find_doubles(sweep: Sweep) -> Iterator[Problem]:
@@ -172,17 +172,17 @@ def _find_doubles(sweep: Sweep) -> Iterator[Problem]:
     varied = list_varied_fields(sweep)
     repeated = next((field for field in varied if varied.count(field) > 1), None)
     if repeated is not None:
-        yield Problem("grid", f"varies {repeated} on two axes")
+        yield "grid", f"varies {repeated} on two axes"
     for place, fields in (("grid", varied), ("rows", list_changed_fields(sweep))):
         if "seed" in fields:
             remedy = "list the seeds in sweep.seeds, or with --seeds"
-            yield Problem(place, f"varies seed: {remedy}")
+            yield place, f"varies seed: {remedy}"
         for field in ("name", "claim"):
             if field in fields:
-                yield Problem(place, f"varies {field}, which decides nothing")
+                yield place, f"varies {field}, which decides nothing"
     if len(sweep.labels) not in (0, len(sweep.rows)):
-        yield Problem("labels", f"needs one for each of the {len(sweep.rows)} rows, or none")
+        yield "labels", f"needs one for each of the {len(sweep.rows)} rows, or none"
     if len(set(sweep.labels)) < len(sweep.labels):
-        yield Problem("labels", "lists one twice")
+        yield "labels", "lists one twice"
     if len(set(sweep.seeds)) < len(sweep.seeds):
-        yield Problem("seeds", "(or --seeds) lists a seed twice")
+        yield "seeds", "(or --seeds) lists a seed twice"
