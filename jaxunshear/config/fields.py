@@ -5,12 +5,10 @@
 >>> validate(experiment)
 """
 
-import dataclasses
 import difflib
 import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.outlines import parse_stimulus
@@ -24,6 +22,7 @@ from jaxunshear.config.types import (
     list_choices,
     list_groups,
     list_hints,
+    replace_value,
 )
 from jaxunshear.errors import UserError
 
@@ -43,7 +42,7 @@ def replace_field(experiment: Experiment, name: str, value: object) -> Experimen
     Raises UserError if there is no such field.
     """
     _find_field_type(name)
-    return _replace_at_path(experiment, name.split("."), value)
+    return replace_value(experiment, name, value)
 
 
 def _find_field_type(name: str) -> Hint:
@@ -150,19 +149,6 @@ def _suggest_field(name: str, kinds: list[str]) -> str:
     if not near:
         return ": see `jaxunshear run --help`"
     return f": did you mean {' or '.join('--' + kind for kind in near)}?"
-
-
-def _replace_at_path(node: Any, path: list[str], value: object) -> Any:
-    if isinstance(node, Mapping):
-        return {**node, path[0]: value}
-    if not hasattr(node, path[0]):
-        raise UserError(
-            f"this experiment has no field {path[0]} there: "
-            f"its {type(node).__name__} has other fields"
-        )
-    if len(path) > 1:
-        value = _replace_at_path(getattr(node, path[0]), path[1:], value)
-    return dataclasses.replace(node, **{path[0]: value})
 
 
 def _parse_value(text: str, kind: Hint) -> Value:

@@ -11,7 +11,7 @@ from typing import Any
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import LOSSES
 from jaxunshear.config.networks import REGISTRY
-from jaxunshear.config.sensor import list_own_layouts
+from jaxunshear.config.sensor import LAYOUTS, RING_LAYOUTS
 from jaxunshear.config.types import check_types
 from jaxunshear.errors import UserError
 
@@ -69,8 +69,9 @@ def list_registering_files() -> list[str]:
 
     Processes of a sweep run them.
     """
-    losses = [spec.compute for spec in LOSSES.values() if spec.compute is not None]
-    files = {function.__code__.co_filename for function in [*losses, *list_own_layouts()]}
+    functions = [spec.compute for spec in LOSSES.values() if spec.compute]
+    functions += [place for name, place in LAYOUTS.items() if name not in RING_LAYOUTS]
+    files = {function.__code__.co_filename for function in functions}
     return sorted(files | {spec.file for spec in REGISTRY.values() if spec.file})
 
 

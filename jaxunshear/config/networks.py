@@ -199,8 +199,3 @@ def add_network(spec: NetworkSpec) -> None:
 def list_networks() -> tuple[str, ...]:
     """List the networks that an experiment can name, with registered ones."""
     return tuple(name for name in REGISTRY if name not in (RENDERER, TEACHER))
-
-
-def list_modality_networks(modality: InputKind) -> list[str]:
-    """List the networks that may read inputs of a modality."""
-    return [name for name in list_networks() if modality in REGISTRY[name].modalities]

@@ -10,7 +10,7 @@ from jaxunshear.config.experiment import FURTHER_TESTS, Experiment, uses_pins
 from jaxunshear.config.fields import format_value, replace_field
 from jaxunshear.config.losses import EXCHANGE, InputKind, Requirement, Role, get_loss
 from jaxunshear.config.network_config import list_trained_networks, resolve_trained_networks
-from jaxunshear.config.networks import POSENET_SHEARED, RENDERER, TEACHER, list_modality_networks
+from jaxunshear.config.networks import POSENET_SHEARED, REGISTRY, RENDERER, TEACHER, list_networks
 from jaxunshear.config.rules_simulated import find_simulated_problems
 from jaxunshear.config.sensor import TACTIP_331_FITTED
 from jaxunshear.config.targets import (
@@ -59,7 +59,7 @@ def find_experiment_problems(experiment: Experiment) -> Iterator[Problem]:
     if not unshear.disentangled:
         remedy = "it is a setting of both networks: to train one use `--networks entangled`"
         yield "unshear.disentangled", remedy
-    possible = list_modality_networks(unshear.input)
+    possible = [name for name in list_networks() if unshear.input in REGISTRY[name].modalities]
     if others := ", ".join(name for name in experiment.networks if name not in possible):
         remedy = f"use {', '.join(possible)}"
         yield "networks", f"{others} does not read {unshear.input}: {remedy}"

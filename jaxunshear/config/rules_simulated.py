@@ -152,7 +152,7 @@ def _find_test_problems(
     if trained := ", ".join(name for name in unseen if name in names):
         yield "unseen", f"{trained} is trained on: name it in one place only"
     tests = list_further_tests(experiment)
-    for field, further in FURTHER_TESTS.items():
+    for field, (further, _) in FURTHER_TESTS.items():
         values = [further.format(value) for value in getattr(experiment, field)]
         if len(set(values)) < len(values):
             yield field, "name each once"

@@ -151,11 +151,6 @@ def register_layout(name: str) -> Callable[[LayoutFunction], LayoutFunction]:
     return register
 
 
-def list_own_layouts() -> list[LayoutFunction]:
-    """List the layouts that experiment files have registered."""
-    return [layout for name, layout in LAYOUTS.items() if name not in RING_LAYOUTS]
-
-
 def describe_sensor(sensor: Sensor) -> dict[str, object]:
     """Describe in plain JSON types everything that decides a sensor's bits."""
     fields = asdict(sensor)

@@ -93,6 +93,21 @@ def get_value(settings: Value, name: str) -> Value:
     return settings
 
 
+def replace_value(settings: Any, name: str, value: Value) -> Any:
+    """Replace the field of this dotted name. Raises UserError if these settings lack it."""
+    first, _, rest = name.partition(".")
+    if isinstance(settings, Mapping):
+        return {**settings, name: value}
+    if not hasattr(settings, first):
+        raise UserError(
+            f"this experiment has no field {first} there: "
+            f"its {type(settings).__name__} has other fields"
+        )
+    if rest:
+        value = replace_value(getattr(settings, first), rest, value)
+    return dataclasses.replace(settings, **{first: value})
+
+
 @functools.cache
 def list_hints(kind: type, include_extras: bool = False) -> dict[str, Hint]:
     """Return the fields of a group of settings and their types."""
