@@ -18,7 +18,6 @@ from jaxunshear.config.networks import DISENTANGLED, list_networks
 from jaxunshear.config.rules import validate
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import (
-    Axis,
     Change,
     Fields,
     Sweep,
@@ -137,12 +136,6 @@ def find_reference(sweep: Sweep, cells: list[Cell]) -> str | None:
         if compute_row_digest(cell.experiment, sweep.ablation) == digest:
             return cell.label
     return None
-
-
-def list_axis_values(axis: Axis) -> tuple[str, ...]:
-    """List the printed values along an axis, each once."""
-    fields, values = axis
-    return tuple(dict.fromkeys(format_value_label(fields, value) for value in values))
 
 
 def format_field_name(fields: Fields, sweep: Sweep) -> str:

@@ -1,9 +1,8 @@
 """The summary of a sweep: figures of each cell, differences from a reference, and a table."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields as dataclass_fields
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,10 +19,9 @@ from jaxunshear.results.sweep import (
     Failure,
     Figure,
     GridAxis,
-    Outcome,
     SweepResult,
 )
-from jaxunshear.sweep.grid import Cell, format_field_name, list_axis_values, split_change
+from jaxunshear.sweep.grid import Cell, format_field_name, format_value_label, split_change
 from jaxunshear.sweep.scores import (
     RowScores,
     compute_interval,
@@ -49,13 +47,6 @@ Rows = Mapping[int, RowScores]  # of one cell, by seed; none of them failed
 Parts = Mapping[str, np.ndarray]  # contacts (N,) bool by the name of the part
 
 
-class ScoredErrors(NamedTuple):
-    """Errors of one kind of contact in one quantity."""
-
-    values: np.ndarray  # (seeds, N)
-    poses: np.ndarray  # (N,), the pose of each contact
-
-
 def summarise(
     sweep: Sweep,
     cells: Sequence[Cell],
@@ -67,20 +58,19 @@ def summarise(
     `scores` are by (label of the cell, seed), for all of them.
     """
     axes = []
-    for axis in sweep.grid:
-        fields = axis[0]
-        name = format_field_name(fields, sweep)
-        axes.append(GridAxis(name, list_fields(fields), list_axis_values(axis)))
+    for fields, values in sweep.grid:
+        labels = dict.fromkeys(format_value_label(fields, value) for value in values)
+        axes.append(GridAxis(format_field_name(fields, sweep), list_fields(fields), tuple(labels)))
     networks: dict[str, None] = {}
     for cell in cells:
         networks |= dict.fromkeys(cell.experiment.networks)
-    reference_rows = {} if reference is None else _select_done(scores, reference, sweep.seeds)
+    rows: dict[str | None, dict[int, RowScores]] = {}
+    for (label, seed), row in scores.items():
+        rows.setdefault(label, {})[seed] = row
     results = []
     for cell in cells:
-        others = {} if cell.label == reference else reference_rows
-        outcomes = {seed: scores[cell.label, seed].outcome for seed in sweep.seeds}
-        rows = _select_done(scores, cell.label, sweep.seeds)
-        results.append(_summarise_cell(cell, rows, outcomes, others))
+        others = {} if reference in (None, cell.label) else _select_done(rows[reference])
+        results.append(_summarise_cell(cell, rows[cell.label], others))
     summary = SweepResult(
         sweep=sweep.name,
         claim=sweep.claim,
@@ -96,26 +86,17 @@ def summarise(
     return summary if sweep.grid else replace(summary, efficient=list_efficient(summary))
 
 
-def _select_done(
-    scores: Mapping[tuple[str, int], RowScores], label: str, seeds: Sequence[int]
-) -> dict[int, RowScores]:
-    rows = {seed: scores[label, seed] for seed in seeds}
+def _select_done(rows: Rows) -> Rows:
     return {seed: row for seed, row in rows.items() if row.outcome.status == "done"}
 
 
-def _summarise_cell(
-    cell: Cell, rows: Rows, outcomes: Mapping[int, Outcome], reference: Rows
-) -> CellResult:
+def _summarise_cell(cell: Cell, ended: Rows, reference: Rows) -> CellResult:
     settings = {}
     for fields, value in cell.changes:
         for name, part in split_change(fields, value):
             settings[name] = format_value(part)
-    failures = [
-        Failure(seed, outcome.reason)
-        for seed, outcome in outcomes.items()
-        if outcome.status != "done"
-    ]
-    names, costs = [field.name for field in dataclass_fields(Costs)], {}
+    rows, names = _select_done(ended), [field.name for field in dataclass_fields(Costs)]
+    costs = {}
     for seed, row in rows.items():
         costs[str(seed)] = Costs(**{name: getattr(row.outcome, name) for name in names})
     return CellResult(
@@ -127,7 +108,9 @@ def _summarise_cell(
         metrics=compute_metrics(rows),
         difference=compute_differences(rows, reference),
         ablation=summarise_code_swaps(rows),
-        failures=failures,
+        failures=[
+            Failure(seed, row.outcome.reason) for seed, row in ended.items() if seed not in rows
+        ],
         costs=costs,
     )
 
@@ -191,32 +174,35 @@ def _compute_recoveries(rows: Rows) -> dict[str, Figure]:
         tap_test = next((each for each in (test, TAP_TEST) if (each, tap) in names), None)
         if tap_test is None or (test, sheared) not in names:
             continue
-        errors = [
-            ScoredErrors(stack_seeds(rows, each, score), number_contact_poses(rows, each))
-            for each, score in ((test, name), (test, sheared), (tap_test, tap))
-        ]
+        scores = ((test, name), (test, sheared), (tap_test, tap))
+        values = [stack_seeds(rows, *each) for each in scores]
+        poses = [number_contact_poses(rows, each) for each, _ in scores]
         parts: dict[str, np.ndarray | slice] = {"": slice(None)}
         if tap_test == test:
             parts |= select_by_shape(rows, test)
         recovery_name = name.replace("pose/", "pose_recovery/", 1)
         for shape, contacts in parts.items():
-            part = [ScoredErrors(each.values[:, contacts], each.poses[contacts]) for each in errors]
-            if figure := _compute_recovery(list(rows), part):
+            errors = [each[:, contacts] for each in values]
+            if figure := _compute_recovery(rows, errors, [each[contacts] for each in poses]):
                 figures[format_name(test, recovery_name, shape)] = figure
     return figures
 
 
-def _compute_recovery(seeds: Sequence[int], errors: Sequence[ScoredErrors]) -> Figure | None:
-    """Compute the recovery of mean errors on unsheared and sheared contacts, and on taps."""
-    mean = compute_recovery(*(float(each.values.mean()) for each in errors))
+def _compute_recovery(
+    seeds: Iterable[int], errors: Sequence[np.ndarray], poses: Sequence[np.ndarray]
+) -> Figure | None:
+    """Compute the recovery of mean errors on unsheared and sheared contacts, and on taps.
+
+    `errors` (seeds, N) and `poses` (N,) are of the three kinds of contact.
+    """
+    mean = compute_recovery(*(float(each.mean()) for each in errors))
     if mean is None:
         return None
-    by_seed = np.stack([each.values.mean(axis=1) for each in errors], axis=1).tolist()
+    by_seed = np.stack([each.mean(axis=1) for each in errors], axis=1).tolist()
     recoveries = {
         str(seed): compute_recovery(*row) for seed, row in zip(seeds, by_seed, strict=True)
     }
-    resampled = [resample_means(each.values, each.poses) for each in errors]
-    return Figure(mean, compute_recovery_interval(*resampled), recoveries)
+    return Figure(mean, compute_recovery_interval(*map(resample_means, errors, poses)), recoveries)
 
 
 def compute_differences(rows: Rows, other: Rows) -> dict[str, Figure]:
