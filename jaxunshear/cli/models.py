@@ -16,9 +16,7 @@ from jaxunshear.files import format_csv, to_builtins, write_bytes, write_json, w
 from jaxunshear.output_checks import check_new_folder, check_not_among, check_outside
 from jaxunshear.results.applications import (
     ObjectScore,
-    ObjectScores,
     TrajectoryScore,
-    TrajectoryScores,
 )
 from jaxunshear.results.record_files import find_results_folder
 
@@ -178,7 +176,7 @@ def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> ob
         )
         print(format_text_table([vars(row) for row in result.scores], SERVO_COLUMNS))
     print(out)
-    return TrajectoryScores(rows)
+    return {"rows": rows}
 
 
 def reconstruct(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
@@ -198,7 +196,7 @@ def reconstruct(arguments: argparse.Namespace, out: Path, model: "TrainedModel")
             write_bytes(out / f"{name}-{file_name}.png", plot_objects(name, solids, text))
         print(format_text_table([vars(row) for row in result.scores], OBJECT_COLUMNS))
     print(out)
-    return ObjectScores(rows)
+    return {"rows": rows}
 
 
 def _find_trajectory_files(arguments: argparse.Namespace, out: Path) -> list[Path]:

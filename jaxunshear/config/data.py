@@ -107,11 +107,9 @@ class SimulatedData(DataSettings):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the stimuli."""
         return list_stimulus_names(self.stimuli)
 
     def count_training_poses(self) -> int:
-        """Count the training poses over all stimuli."""
         return sum(count_train_poses(self.seed, name, self.poses) for name in self.names)
 
     def find_problems(self) -> Iterator[Problem]:

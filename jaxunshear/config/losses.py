@@ -61,7 +61,6 @@ class LossSpec:
     is_validated: bool = True  # also computed on validation examples
 
     def load(self) -> Callable[..., Any]:
-        """Return the function that computes the loss."""
         place = f"jaxunshear.training.losses:compute_{self.name}_term"
         return self.compute or pkgutil.resolve_name(place)
 
@@ -121,7 +120,6 @@ def register_loss(name: str, **needs: Any) -> Callable[[Callable[..., Any]], Cal
 
 
 def get_loss(name: str) -> LossSpec:
-    """Return the entry of a loss. Raises UserError for an unknown one."""
     if name not in LOSSES:
         raise UserError(
             f"loss '{name}' is unknown: use one of {', '.join(LOSSES)}, "

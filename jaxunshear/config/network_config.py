@@ -68,7 +68,6 @@ class NetworkConfig:
 
 
 def resolve_network(experiment: Experiment, name: str) -> NetworkConfig:
-    """Resolve the config of one network of an experiment."""
     spec, pins = REGISTRY[name], uses_pins(experiment)
     training, simulated = _select_training(experiment, spec), experiment.paired.is_simulated
     learns_from_taps = "tap_identity" in training.losses and simulated
@@ -114,7 +113,6 @@ def takes_taps(experiment: Experiment) -> bool:
 
 
 def _list_helpers(experiment: Experiment, spec: NetworkSpec) -> tuple[str, ...]:
-    """List the networks that a network learns from: by its losses, and by its data."""
     pins = uses_pins(experiment)
     training = experiment.train_pins if pins else experiment.train
     teacher = (TEACHER,) if spec.role == "unshears" and uses_teacher(training) else ()

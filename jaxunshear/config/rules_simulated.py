@@ -33,7 +33,6 @@ ROTATED_TARGETS = {"edge_mm", "edge_deg", "depth_mm"}
 def find_simulated_problems(
     experiment: Experiment, paired: PairedData, pose: PoseData
 ) -> Iterator[Problem]:
-    """Find problems of an experiment about simulated touches."""
     yield from _find_reach_problems(paired, "paired.", experiment.sensor)
     yield from _find_reach_problems(pose, "pose.", experiment.sensor)
     yield from _find_target_problems(experiment, paired, pose)

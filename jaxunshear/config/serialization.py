@@ -33,7 +33,6 @@ OLD_FILES = "files of version 0.2.0 and earlier are not read"
 
 
 def to_json(experiment: Experiment) -> Json:
-    """Convert an experiment to nested dictionaries and lists."""
     return dataclasses.asdict(experiment)
 
 

@@ -108,17 +108,14 @@ def get_base(sweep: Sweep) -> Experiment:
 
 
 def list_fields(fields: Fields) -> tuple[str, ...]:
-    """List the fields that an axis or a change sets."""
     return (fields,) if isinstance(fields, str) else fields
 
 
 def list_varied_fields(sweep: Sweep) -> list[str]:
-    """List the fields that the axes of the grid vary."""
     return [field for fields, _ in sweep.grid for field in list_fields(fields)]
 
 
 def list_changed_fields(sweep: Sweep) -> list[str]:
-    """List the fields that rows change."""
     changes = [change for row in sweep.rows for change in row]
     return [field for fields, _ in changes for field in list_fields(fields)]
 

@@ -141,7 +141,6 @@ def _is_union(kind: Hint) -> bool:
 
 
 def describe_hint(kind: Hint) -> str:
-    """Describe in words what a field takes."""
     if kind in DESCRIPTIONS:
         return DESCRIPTIONS[kind]
     if get_origin(kind) is tuple:

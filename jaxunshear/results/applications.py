@@ -32,13 +32,6 @@ class TrajectoryScore:
     perceive_ms: float  # per step
 
 
-@dataclass(frozen=True)
-class TrajectoryScores:
-    """The content of servo.json."""
-
-    rows: Sequence[TrajectoryScore]
-
-
 @dataclass(frozen=True, kw_only=True)
 class PinScore:
     """The pins of one image."""
@@ -83,13 +76,6 @@ class ObjectScore:
     height_rms_mm: float | None  # from the object's top, if values are heights
     level: float | None  # the object is above it; none if a ridge surrounds the object
     unmatched: int  # steps without certain pin identities
-
-
-@dataclass(frozen=True)
-class ObjectScores:
-    """The content of reconstruct.json."""
-
-    rows: Sequence[ObjectScore]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -55,8 +55,6 @@ class Poses:
 
 @dataclass(frozen=True, kw_only=True)
 class PartPoses(Poses):
-    """Scores of poses for a part of the contacts."""
-
     spread: PoseSpread
 
 
@@ -124,8 +122,6 @@ class Counts:
 
 @dataclass(frozen=True)
 class Recordings:
-    """The recordings of a run."""
-
     tap_folder: str
     slide_folder: str
     digest: str

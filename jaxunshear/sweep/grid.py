@@ -112,7 +112,6 @@ def compute_row_digest(experiment: Experiment, ablation: bool) -> str:
 
 
 def format_training_name(config: NetworkConfig) -> str:
-    """Format the name by which rows share the training of a network."""
     return f"{config.name}_seed-{config.seed}-{config.digest}"
 
 

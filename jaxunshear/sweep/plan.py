@@ -84,7 +84,6 @@ def make_data_task(folder: Path, rows: list[Row], data: Path) -> Task:
 
 
 def _list_files() -> list[str]:
-    """List the experiment files that have registered something; processes of a sweep run them."""
     return sorted({*list_registering_files(), *list_source_files()})
 
 

@@ -147,7 +147,6 @@ def number_contact_poses(rows: Mapping[int, RowScores], test: str) -> np.ndarray
 
 
 def _get_labels(rows: Mapping[int, RowScores], test: str) -> Mapping[str, np.ndarray]:
-    """Return the labels of a test's contacts, which all seeds share."""
     return next(iter(rows.values())).tests[test]
 
 
