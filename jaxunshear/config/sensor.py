@@ -272,27 +272,11 @@ REACHED_SHARE = 0.7
 MIN_RINGS, MAX_RINGS = 8, 21
 
 
-@dataclass(frozen=True)
-class RingSpacedSensor(Sensor):
-    """A sensor whose contact rings have a spacing that does not follow from its size."""
-
-    ring_mm: float = RING_MM
-
-
-def set_ring_spacing(sensor: Sensor, ring_mm: float) -> Sensor:
-    """Return the sensor with rings of this spacing, which its name then says."""
-    if ring_mm == compute_ring_spacing(sensor):
-        return sensor
-    return RingSpacedSensor(
-        **asdict(sensor) | {"name": f"{sensor.name}-{ring_mm:g}mm"}, ring_mm=ring_mm
-    )
-
-
 def compute_ring_spacing(sensor: Sensor) -> float:
     """Compute the arc between neighbouring rings in mm."""
     covered = sensor.dome_radius_mm * math.radians(COVERED_ANGLE_DEG)
-    usual = max(RING_MM, covered / MAX_RINGS)
-    spacing = sensor.ring_mm if isinstance(sensor, RingSpacedSensor) else usual
+    # a sensor of benchmarks has a spacing of its own
+    spacing = getattr(sensor, "ring_mm", max(RING_MM, covered / MAX_RINGS))
     return min(spacing, covered / MIN_RINGS)
 
 
