@@ -63,18 +63,19 @@ def read_tests(folder: Path, remedy: str) -> dict[str, dict[str, np.ndarray]]:
     return tests
 
 
-def list_score_names(rows: Mapping[int, RowScores]) -> list[tuple[str, str]]:
-    """List the (test, name) of scores that every row has.
+def stack_scores(rows: Mapping[int, RowScores]) -> dict[tuple[str, str], np.ndarray]:
+    """Stack the scores of all seeds by (test, name), (seeds, N).
 
-    A row that an earlier version evaluated may lack some.
+    Scores that a row lacks, as one that an earlier version evaluated may, are left out.
     """
     first, *others = [row.tests for row in rows.values()] or [{}]
-    names = []
+    stacks = {}
     for test, scores in first.items():
         for name in scores:
             if "/" in name and all(name in tests.get(test, {}) for tests in others):
-                names.append((test, name))
-    return names
+                by_seed = [row.tests[test][name] for row in rows.values()]
+                stacks[test, name] = np.stack(by_seed).astype(np.float64)
+    return stacks
 
 
 def get_metric_notes(rows: Mapping[int, RowScores]) -> Notes:
@@ -90,11 +91,6 @@ def format_name(test: str, name: str, part: str = "") -> str:
     """Format `<test>, <part>: <name>`, without what is empty."""
     prefix = ", ".join(filter(None, (test, part)))
     return f"{prefix}: {name}" if prefix else name
-
-
-def stack_seeds(rows: Mapping[int, RowScores], test: str, name: str) -> np.ndarray:
-    """Stack the scores of all seeds, (seeds, N)."""
-    return np.stack([np.asarray(row.tests[test][name], np.float64) for row in rows.values()])
 
 
 def select_by_shape(rows: Mapping[int, RowScores], test: str) -> dict[str, np.ndarray]:

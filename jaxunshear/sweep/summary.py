@@ -29,12 +29,11 @@ from jaxunshear.sweep.scores import (
     format_name,
     get_metric_notes,
     has_same_contacts,
-    list_score_names,
     number_contact_poses,
     resample_means,
     select_by_shape,
     select_smooth,
-    stack_seeds,
+    stack_scores,
 )
 from jaxunshear.text_table import format_text_table
 
@@ -44,7 +43,8 @@ TABLES = ("pin_error", "half_width", "coverage")
 MAIN_METRICS = ("ms_ssim/*", "pose/*/edge_mm", "pose/*/edge_deg", "swap/DS(z_p,z_s)/mse")
 TAP_TEST = "taps"  # the test of recorded taps, which are no pairs of the slides
 Rows = Mapping[int, RowScores]  # of one cell, by seed; none of them failed
-Parts = Mapping[str, np.ndarray]  # contacts (N,) bool by the name of the part
+# contacts (N,) bool by the name of the part
+ALL_CONTACTS: Mapping[str, np.ndarray | slice] = {"": slice(None)}
 
 
 def summarise(
@@ -123,23 +123,17 @@ def compute_metrics(rows: Rows) -> dict[str, Figure]:
     `smooth: pose/<kind>/edge_deg`. Figures of `TABLES` have no interval.
     """
     figures = {}
-    for test, name in list_score_names(rows):
-        values, poses = stack_seeds(rows, test, name), number_contact_poses(rows, test)
-        figures[format_name(test, name)] = _make_figure(rows, values, poses)
-        for part, contacts in _select_parts(rows, test, name).items():
+    for (test, name), values in stack_scores(rows).items():
+        poses, parts = number_contact_poses(rows, test), dict(ALL_CONTACTS)
+        if name.startswith("ms_ssim/"):
+            parts |= select_by_shape(rows, test)
+        elif name.startswith("pose/") and name.endswith("/edge_deg"):
+            parts |= select_smooth(rows, test)
+        for part, contacts in parts.items():
             figure = _make_figure(rows, values[:, contacts], poses[contacts])
             figures[format_name(test, name, part)] = figure
     figures |= _compute_recoveries(rows)
     return figures | _average_over_seeds({seed: _list_table(row) for seed, row in rows.items()})
-
-
-def _select_parts(rows: Rows, test: str, name: str) -> Parts:
-    """Select the parts of a test for which the metric `name` is also computed."""
-    if name.startswith("ms_ssim/"):
-        return select_by_shape(rows, test)
-    if name.startswith("pose/") and name.endswith("/edge_deg"):
-        return select_smooth(rows, test)
-    return {}
 
 
 def _make_figure(rows: Rows, values: np.ndarray, poses: np.ndarray) -> Figure:
@@ -165,24 +159,23 @@ def _compute_recoveries(rows: Rows) -> dict[str, Figure]:
     that also has taps and sheared contacts have one.
     """
     figures: dict[str, Figure] = {}
-    names = dict.fromkeys(list_score_names(rows))
-    for test, name in names:
+    stacks = stack_scores(rows)
+    for test, name in stacks:
         table, kind, *quantity = name.split("/")
         if table != "pose" or kind in ("tap", "sheared"):
             continue
         tap, sheared = "/".join(["pose/tap", *quantity]), "/".join(["pose/sheared", *quantity])
-        tap_test = next((each for each in (test, TAP_TEST) if (each, tap) in names), None)
-        if tap_test is None or (test, sheared) not in names:
+        tap_test = next((each for each in (test, TAP_TEST) if (each, tap) in stacks), None)
+        if tap_test is None or (test, sheared) not in stacks:
             continue
         scores = ((test, name), (test, sheared), (tap_test, tap))
-        values = [stack_seeds(rows, *each) for each in scores]
         poses = [number_contact_poses(rows, each) for each, _ in scores]
-        parts: dict[str, np.ndarray | slice] = {"": slice(None)}
+        parts = dict(ALL_CONTACTS)
         if tap_test == test:
             parts |= select_by_shape(rows, test)
         recovery_name = name.replace("pose/", "pose_recovery/", 1)
         for shape, contacts in parts.items():
-            errors = [each[:, contacts] for each in values]
+            errors = [stacks[each][:, contacts] for each in scores]
             if figure := _compute_recovery(rows, errors, [each[contacts] for each in poses]):
                 figures[format_name(test, recovery_name, shape)] = figure
     return figures
@@ -215,14 +208,14 @@ def compute_differences(rows: Rows, other: Rows) -> dict[str, Figure]:
     rows, other = {seed: rows[seed] for seed in common}, {seed: other[seed] for seed in common}
     notes, other_notes = get_metric_notes(rows), get_metric_notes(other)
     same_images = all(notes.get(key) == other_notes.get(key) for key in ("ms_ssim", "image_px"))
-    figures = {}
-    for test, name in list_score_names(rows):
+    stacks, figures = stack_scores(other), {}
+    for (test, name), values in stack_scores(rows).items():
         if ("ms_ssim" in name or name.startswith("swap/")) and not same_images:
             continue
-        if (test, name) in list_score_names(other) and has_same_contacts(rows, other, test):
-            values = stack_seeds(rows, test, name) - stack_seeds(other, test, name)
-            interval = compute_interval(values, number_contact_poses(rows, test))
-            figures[format_name(test, name)] = Figure(float(values.mean()), interval)
+        if (test, name) in stacks and has_same_contacts(rows, other, test):
+            differences = values - stacks[test, name]
+            interval = compute_interval(differences, number_contact_poses(rows, test))
+            figures[format_name(test, name)] = Figure(float(differences.mean()), interval)
     return figures
 
 
