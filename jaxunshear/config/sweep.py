@@ -149,34 +149,28 @@ def _find_type_problems(sweep: Sweep) -> Iterator[Problem]:
 
 
 def _find_axis_problems(sweep: Sweep) -> Iterator[Problem]:
-    changes = []
     for fields, values in sweep.grid:
         if not values:
             yield "grid", f"lists no values for {fields}: give a tuple of some"
-        changes += [("grid", fields, value) for value in values]
-    for row in sweep.rows:
-        changes += [("rows", fields, value) for fields, value in row]
+    changes = [("grid", fields, value) for fields, values in sweep.grid for value in values]
+    changes += [("rows", fields, value) for row in sweep.rows for fields, value in row]
     for place, fields, value in changes:
         if not fields:
             yield place, FORMS[place]
         has_each = isinstance(value, tuple) and len(value) == len(fields)
         if not (isinstance(fields, str) or has_each):
             yield place, f"needs tuples of a value each for {fields}"
+        for field in list_fields(fields):
+            if field == "seed":
+                yield place, "varies seed: list the seeds in sweep.seeds, or with --seeds"
+            if field in ("name", "claim"):
+                yield place, f"varies {field}, which decides nothing"
 
 
 def _find_doubles(sweep: Sweep) -> Iterator[Problem]:
-    """Find what is listed twice, and fields that no axis or row may change."""
     varied = list_varied_fields(sweep)
-    repeated = next((field for field in varied if varied.count(field) > 1), None)
-    if repeated is not None:
-        yield "grid", f"varies {repeated} on two axes"
-    for place, fields in (("grid", varied), ("rows", list_changed_fields(sweep))):
-        if "seed" in fields:
-            remedy = "list the seeds in sweep.seeds, or with --seeds"
-            yield place, f"varies seed: {remedy}"
-        for field in ("name", "claim"):
-            if field in fields:
-                yield place, f"varies {field}, which decides nothing"
+    if repeated := [field for field in varied if varied.count(field) > 1]:
+        yield "grid", f"varies {repeated[0]} on two axes"
     if len(sweep.labels) not in (0, len(sweep.rows)):
         yield "labels", f"needs one for each of the {len(sweep.rows)} rows, or none"
     if len(set(sweep.labels)) < len(sweep.labels):
