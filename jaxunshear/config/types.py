@@ -46,7 +46,6 @@ WEIGHTS = Mapping[str, float]  # the type of fields that hold weights by name
 DESCRIPTIONS: dict[Hint, str] = {  # of what a field of a type takes
     int: "an integer",
     float: "a number",
-    float | None: "a number, or none",
     bool: "true or false",
     str: "text",
     tuple[int, ...]: "integers separated by commas",
@@ -141,10 +140,14 @@ def _is_union(kind: Hint) -> bool:
 
 
 def describe_hint(kind: Hint) -> str:
+    kinds = typing.get_args(kind)
     if kind in DESCRIPTIONS:
         return DESCRIPTIONS[kind]
+    if types.NoneType in kinds:
+        return f"{describe_hint(kinds[0])}, or none"
     if get_origin(kind) is tuple:
-        return "names, or files of outlines, separated by commas"
+        items = "names, or files of outlines," if list_groups(kinds[0]) else "values"
+        return f"{items} separated by commas" if kinds[-1] is ... else "values joined by ':'"
     if dataclasses.is_dataclass(kind):
         return f"a {typing.cast(type, kind).__name__.lower()}'s name"
     return f"one of {', '.join(list_choices(kind))}"
