@@ -37,10 +37,7 @@ def override_fields(experiment: Experiment, argv: Sequence[str]) -> Experiment:
 
 
 def replace_field(experiment: Experiment, name: str, value: object) -> Experiment:
-    """Replace the field of this dotted name; `check_types` judges its type.
-
-    Raises UserError if there is no such field.
-    """
+    """Replace the field of this dotted name, by a value of any type. Raises UserError."""
     _find_field_type(name)
     return replace_value(experiment, name, value)
 
@@ -57,10 +54,7 @@ def _find_field_type(name: str) -> Hint:
 
 
 def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
-    """Return dotted names and values of `--name value` or `--name=value`.
-
-    Raises UserError for an unknown name, and for a value of a wrong type.
-    """
+    """Parse `--name value` or `--name=value` to dotted names and values. Raises UserError."""
     pairs = []
     words = iter(argv)
     for word in words:
@@ -84,10 +78,7 @@ def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
 def split_overrides(
     argv: Sequence[str], options: Iterable[str], flags: Iterable[str]
 ) -> tuple[list[str], list[str]]:
-    """Split a command line into what argparse reads, and every `--name value` beside `options`.
-
-    No value follows `flags`.
-    """
+    """Split a command line into words for argparse and fields; no value follows `flags`."""
     arguments: list[str] = []
     fields: list[str] = []
     words = iter(argv)
@@ -102,10 +93,7 @@ def split_overrides(
 
 
 def list_field_types(kind: type = Experiment, prefix: str = "") -> dict[str, Hint]:
-    """List the types of all fields that can be set by dotted name; `sensor` itself takes a name.
-
-    A group that may be of several kinds has the fields of all.
-    """
+    """List the types of all fields that can be set, of each kind of a group, by dotted name."""
     fields = {}
     for name, hint in list_hints(kind).items():
         groups = list_groups(hint)

@@ -37,10 +37,7 @@ def to_json(experiment: Experiment) -> Json:
 
 
 def from_json(data: object, source: str = "experiment.json") -> Experiment:
-    """Return the experiment that `to_json` wrote, with or without the version.
-
-    Raises UserError naming fields that are unknown, missing or of a wrong type, or another version.
-    """
+    """Return the experiment that `to_json` wrote. Raises UserError that names what does not fit."""
     settings = remove_version(data, source) if isinstance(data, dict) else data
     return build_value(settings, Experiment, source, "")
 
@@ -63,10 +60,7 @@ def remove_version(stored: Json, source: object) -> Json:
 
 
 def build_value(data: object, kind: Hint, source: str, name: str) -> Any:
-    """Make a value of type `kind` from JSON, which stands at `name` in the file `source`.
-
-    Raises UserError.
-    """
+    """Make a value of type `kind` from JSON at `name` in the file `source`. Raises UserError."""
     item_kind = typing.get_args(kind)[0] if get_origin(kind) is tuple else None
     if list_groups(item_kind) and isinstance(data, list):
         return tuple(build_value(item, item_kind, source, name) for item in data)
@@ -146,10 +140,7 @@ def read_preset(file: Path) -> Preset:
 
 
 def apply_preset(experiment: Experiment, file: Path) -> Experiment:
-    """Set the sensor, camera and friction that are in `file`; frames keep their number of pixels.
-
-    Raises UserError.
-    """
+    """Set the sensor, camera and friction in `file`; frames keep their pixels. Raises UserError."""
     experiment.paired.get_simulated("--sensor-from")
     preset = read_preset(file)
     changed = replace(experiment, sensor=preset.sensor)

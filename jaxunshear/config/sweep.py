@@ -121,10 +121,7 @@ def list_changed_fields(sweep: Sweep) -> list[str]:
 
 
 def check_sweep(sweep: Sweep, source: str) -> None:
-    """Raise UserError, naming the file `source` and the field, if no rows can be made of a sweep.
-
-    The values of the rows are not checked here.
-    """
+    """Raise UserError, naming `source` and field, for a bad sweep; rows are checked later."""
     _check_form(sweep, source)
     validate(dataclasses.replace(get_base(sweep), name=sweep.name))
     for field in (*list_varied_fields(sweep), *list_changed_fields(sweep)):

@@ -111,11 +111,7 @@ class GeometryScores:
 
 @dataclass(frozen=True, kw_only=True)
 class StreamResult:
-    """The content of stream.json.
-
-    Milliseconds are percentiles over the frames that were used: from arrival to output, and of the
-    networks alone.
-    """
+    """The content of stream.json."""
 
     frames: int  # used, skipped and dropped
     used: int
@@ -126,5 +122,5 @@ class StreamResult:
     frames_per_s: float
     confidence: float | None  # mean
     pose_mae: Mapping[str, float]  # by quantity, if there are labels
-    latency_ms: Mapping[str, float] | None  # p50, p95, p99
-    networks_ms: Mapping[str, float] | None
+    latency_ms: Mapping[str, float] | None  # p50, p95, p99 from arrival to output, of used frames
+    networks_ms: Mapping[str, float] | None  # likewise, of the networks alone

@@ -140,12 +140,10 @@ class Recordings:
 
 @dataclass(frozen=True)
 class Pairing:
-    """The pairing of slides.
-
-    `gaps` are by split: the distances of partners' poses by target, and the number of `pairs`.
-    """
+    """The pairing of slides."""
 
     way: str
+    # by split: distances of partners' poses by target, and the number of `pairs`
     gaps: Mapping[str, Mapping[str, Scores | int]]
 
 

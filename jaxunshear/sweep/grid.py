@@ -100,10 +100,7 @@ def list_rows(sweep: Sweep, cells: list[Cell]) -> dict[tuple[str, int], Row]:
 
 
 def compute_row_digest(experiment: Experiment, ablation: bool) -> str:
-    """Compute eight hexadecimal digits of all that decides a row's numbers.
-
-    Names, claims and the order of the networks do not.
-    """
+    """Compute the digest of what decides a row's numbers; names and claims do not."""
     networks = tuple(sorted(experiment.networks))
     anonymous = dataclasses.replace(experiment, name="", claim="", networks=networks)
     version = experiment.paired.version
@@ -138,10 +135,7 @@ def find_reference(sweep: Sweep, cells: list[Cell]) -> str | None:
 
 
 def format_field_name(fields: Fields, sweep: Sweep) -> str:
-    """Format `patch_weight`, or `pose_channels:shear_channels`.
-
-    The name is dotted if the sweep varies two fields of that name.
-    """
+    """Format `batch`, `train.batch` if a sweep varies another batch, or `batch:epochs`."""
     varied = {*list_varied_fields(sweep), *list_changed_fields(sweep)}
     shorts = [name.rpartition(".")[2] for name in varied]
     names = [(name, name.rpartition(".")[2]) for name in list_fields(fields)]

@@ -142,11 +142,7 @@ def _can_start(task: Task) -> bool:
 def _order_training(
     task: Task, order: TaskOrder, row: Row, config: NetworkConfig, sources: Mapping[str, str]
 ) -> None:
-    """Write the task.json of a training that `row` and others share.
-
-    Args:
-        sources: folders of trainings by network or by name.
-    """
+    """Write the task.json of a training; `sources` are folders by network, or by name."""
     experiment: Settings = to_json(replace(row.experiment, name=task.folder.name))
     if (task.folder / TASK).exists():  # a stopped sweep began it, maybe for another row
         experiment = read_order(task.folder).experiment or experiment
@@ -166,10 +162,7 @@ def _list_missing_trainings(folder: Path, row: Row) -> list[NetworkConfig]:
 
 
 def _find_finished_trainings(folder: Path) -> dict[str, str]:
-    """Find all finished trainings in a sweep's folder, by their names.
-
-    Trainings that are damaged, or of an earlier version, are left out and trained again.
-    """
+    """Find the finished and sound trainings of this version in a folder, by their names."""
     trainings: dict[str, str] = {}
     for path in sorted([*(folder / "shared").glob("*/"), *(folder / "rows").glob("*/")]):
         networks = [network for network in TRAINABLE if (path / network / FINISHED).exists()]

@@ -116,10 +116,7 @@ def _read_row_scores(folder: Path) -> RowScores:
 
 
 def _check_contacts(rows: Mapping[Path, RowScores]) -> None:
-    """Check that the seeds of a cell were tested on the same contacts.
-
-    Raises UserError, since other scores cannot be compared.
-    """
+    """Raise UserError if the seeds of a cell were tested on different contacts."""
     done = [(folder, row) for folder, row in rows.items() if row.tests]
     for (first, row), (second, other) in itertools.pairwise(done):
         for test in row.tests.keys() & other.tests.keys():

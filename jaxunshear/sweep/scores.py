@@ -64,10 +64,7 @@ def read_tests(folder: Path, remedy: str) -> dict[str, dict[str, np.ndarray]]:
 
 
 def stack_scores(rows: Mapping[int, RowScores]) -> dict[tuple[str, str], np.ndarray]:
-    """Stack the scores of all seeds by (test, name), (seeds, N).
-
-    Scores that a row lacks, as one that an earlier version evaluated may, are left out.
-    """
+    """Stack the scores that all rows have by (test, name), (seeds, N)."""
     first, *others = [row.tests for row in rows.values()] or [{}]
     stacks = {}
     for test, scores in first.items():
@@ -107,10 +104,7 @@ def select_by_shape(rows: Mapping[int, RowScores], test: str) -> dict[str, np.nd
 
 
 def select_smooth(rows: Mapping[int, RowScores], test: str) -> dict[str, np.ndarray]:
-    """Select the contacts (N,) of a test whose nearest edge has one direction, if any.
-
-    Scores of an earlier version do not say so.
-    """
+    """Select the contacts (N,) whose nearest edge has one direction, if the scores say so."""
     smooth = _get_labels(rows, test).get(SMOOTH)
     return {SMOOTH: smooth.astype(bool)} if smooth is not None and smooth.any() else {}
 

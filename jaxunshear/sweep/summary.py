@@ -243,10 +243,7 @@ def _average_over_seeds(by_seed: Mapping[int, Mapping[str, float]]) -> dict[str,
 
 
 def format_table(summary: SweepResult) -> str:
-    """Format a line per cell, then the failures with their reasons, then the frontiers.
-
-    A line has the main figures with their intervals, seconds of training, and memory.
-    """
+    """Format a line per cell: main figures, time and memory; then failures and frontiers."""
     cells = summary.cells
     names = select_main_metrics(summary)
     head, rows = ("", "seeds", *names, "training", "memory"), []
