@@ -78,6 +78,13 @@ class ObjectScore:
     unmatched: int  # steps without certain pin identities
 
 
+@dataclass(frozen=True)
+class ScoreTable:
+    """The content of servo.json, or of reconstruct.json."""
+
+    rows: Sequence[TrajectoryScore] | Sequence[ObjectScore]
+
+
 @dataclass(frozen=True, kw_only=True)
 class GeometryScore:
     """The contact geometry of one kind of image by one method, for one stimulus or for all.
