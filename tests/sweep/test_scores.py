@@ -7,7 +7,6 @@ from scipy.stats import norm, t
 from jaxunshear.evaluation.intervals import compute_intervals
 from jaxunshear.sweep.scores import (
     compute_interval,
-    describe_intervals,
     resample_means,
 )
 
@@ -65,12 +64,6 @@ def test_it_holds_the_true_mean_as_often_as_it_says(seeds, effects):
         low, high = compute_interval(values + 5, POSES)
         held.append(low <= 5 <= high)
     assert np.mean(held) >= 0.93
-
-
-def test_a_sweep_says_what_its_intervals_are():
-    poses = "bootstrap over test poses"
-    assert describe_intervals(3)["interval"].startswith(f"Student's t over 3 seeds and {poses}")
-    assert describe_intervals(1)["interval"].startswith(poses)
 
 
 def test_slides_of_a_pose_are_drawn_together():
