@@ -9,7 +9,7 @@ matrix product timed in between.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import jax
 import numpy as np
@@ -21,7 +21,6 @@ from jaxunshear.config.sensor import (
     TACTIP_331,
     Sensor,
     compute_ring_spacing,
-    set_ring_spacing,
 )
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
@@ -44,6 +43,21 @@ COLUMNS = (
     *("kind", "name", "ms_per_state", "ms_p95", "ratio", "compile_s", "plan_ms"),
     *("rms_px", "p95_px", "rms_mm", "p95_mm", "iterations", "converged", "failed"),
 )
+
+
+@dataclass(frozen=True)
+class RingSpacedSensor(Sensor):
+    """A sensor whose contact rings have a spacing that does not follow from its size."""
+
+    ring_mm: float = RING_MM
+
+
+def set_ring_spacing(sensor: Sensor, ring_mm: float) -> Sensor:
+    """Return the sensor with rings of this spacing, which its name then says."""
+    if ring_mm == compute_ring_spacing(sensor):
+        return sensor
+    fields = asdict(sensor) | {"name": f"{sensor.name}-{ring_mm:g}mm"}
+    return RingSpacedSensor(**fields, ring_mm=ring_mm)
 
 
 @dataclass(frozen=True)

@@ -257,10 +257,10 @@ def test_every_stage_of_a_command_is_one_of_run():
 def test_every_field_has_its_meaning_in_help(command):
     from jaxunshear.config.fields import list_field_types
 
-    groups = {name.rpartition(".")[0] for name, _ in list_field_types()}
+    groups = {name.rpartition(".")[0] for name in list_field_types()}
     written = "".join(command("run", "--help-fields", group).out for group in groups)
     entries = dict(re.findall(r"^--(\S+) .*\n((?:    .*\n?)+)", written, re.MULTILINE))
-    assert entries.keys() == {name for name, _ in list_field_types()}
+    assert entries.keys() == set(list_field_types())
     assert not [
         name for name, text in entries.items() if len(" ".join(text.split()).partition(". ")[2]) < 6
     ]

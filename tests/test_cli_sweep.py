@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from jaxunshear import cluster
 from jaxunshear.results.sweep import CellResult, Failure, SweepResult
 from jaxunshear.sweep import run
 
@@ -34,9 +35,9 @@ def test_options_and_fields_arrive(calls, command, tmp_path):
     answer = command("sweep", LAMBDA, *words, *places)
     assert (answer.code, answer.err) == (0, "")
     assert answer.out.splitlines()[-1] == str(tmp_path / "lambda_split" / "sweep.json")
-    ((sweep, out, data, typed, engine, retry),) = calls
+    ((sweep, out, data, typed, run_calls, retry),) = calls
     assert (sweep.seeds, sweep.base.train.epochs, len(sweep.grid)) == ((3, 4), 2.0, 2)
-    assert (out, data, engine, retry) == (tmp_path, Path("sets"), run.run_serially, True)
+    assert (out, data, run_calls, retry) == (tmp_path, Path("sets"), cluster.run_locally, True)
     assert typed.startswith("jaxunshear sweep ") and "--retry-failed" in typed
     assert json.loads((tmp_path / "found.json").read_text())["cells"]
 
@@ -54,10 +55,12 @@ def test_a_failed_row_is_shown_and_is_exit_code_1(calls, command):
 
 def test_ray_takes_its_address_and_cores(calls, command, monkeypatch):
     asked = []
-    monkeypatch.setattr(run, "make_ray_engine", lambda *words: asked.append(words) or "an engine")
+    monkeypatch.setattr(
+        cluster, "make_ray_runner", lambda *words: asked.append(words) or "a runner"
+    )
     assert command("sweep", TINY, "--engine", "ray", "--ray-address", "a:1").code == 0
     assert command("sweep", TINY, "--engine", "ray", "--ray-cores", "4").code == 0
-    assert asked == [("a:1", 2), (None, 4)] and calls[0][4] == "an engine"
+    assert asked == [("a:1", 2), (None, 4)] and calls[0][4] == "ray"
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ class _CommandParser(Parser):
         if not self.get_default("takes_fields"):
             return super().format_help()
         groups: dict[str, list[str]] = {}
-        for name, _ in list_field_types():
+        for name in list_field_types():
             group, _, field = name.rpartition(".")
             groups.setdefault(group, []).append(field)
         lines = []

@@ -180,16 +180,15 @@ def sweep(arguments: argparse.Namespace, command: str) -> int:
         sweep = replace(sweep, seeds=parse_seeds(arguments.seeds))
     check_sweep(sweep, str(arguments.file))
 
+    from jaxunshear.cluster import make_ray_runner, run_locally
     from jaxunshear.results.record_files import write_record
     from jaxunshear.sweep import run
     from jaxunshear.sweep.summary import format_table
 
     check_outside(arguments.json, "--json", home=arguments.out / sweep.name)
-    engine: run.Engine = run.run_serially
-    if ray_options:
-        engine = run.make_ray_engine(*ray_options)
+    run_calls = make_ray_runner(*ray_options) if ray_options else run_locally
     summary = run.run_sweep(
-        sweep, arguments.out, arguments.data, command, engine, arguments.retry_failed
+        sweep, arguments.out, arguments.data, command, run_calls, arguments.retry_failed
     )
     print(format_table(summary))
     print(arguments.out / sweep.name / "sweep.json")

@@ -14,12 +14,7 @@ from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.errors import UserError
 from jaxunshear.files import format_csv, to_builtins, write_bytes, write_json, write_npz, write_text
 from jaxunshear.output_checks import check_new_folder, check_not_among, check_outside
-from jaxunshear.results.applications import (
-    ObjectScore,
-    ObjectScores,
-    TrajectoryScore,
-    TrajectoryScores,
-)
+from jaxunshear.results.applications import ObjectScore, ScoreTable, TrajectoryScore
 from jaxunshear.results.record_files import find_results_folder
 
 if TYPE_CHECKING:
@@ -178,7 +173,7 @@ def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> ob
         )
         print(format_text_table([vars(row) for row in result.scores], SERVO_COLUMNS))
     print(out)
-    return TrajectoryScores(rows)
+    return ScoreTable(rows)
 
 
 def reconstruct(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
@@ -198,7 +193,7 @@ def reconstruct(arguments: argparse.Namespace, out: Path, model: "TrainedModel")
             write_bytes(out / f"{name}-{file_name}.png", plot_objects(name, solids, text))
         print(format_text_table([vars(row) for row in result.scores], OBJECT_COLUMNS))
     print(out)
-    return ObjectScores(rows)
+    return ScoreTable(rows)
 
 
 def _find_trajectory_files(arguments: argparse.Namespace, out: Path) -> list[Path]:

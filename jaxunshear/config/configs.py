@@ -84,7 +84,6 @@ CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {
 
 
 def get_config_sensor(config: str) -> Sensor:
-    """Return the sensor of a stored configuration."""
     return {"tiny": TACTIP_331, "demo": TACTIP_331_FLUSH}.get(config, TACTIP_331_FITTED)
 
 
@@ -98,24 +97,13 @@ def describe_set(settings: DataSettings, sensor: Sensor) -> dict:
     return json.loads(json.dumps(description))
 
 
-def convert_to_floats(settings: Value) -> Value:
-    """Convert all numbers in nested settings to floats: 1 and 1.0 are the same setting."""
-    if isinstance(settings, dict):
-        return {name: convert_to_floats(value) for name, value in settings.items()}
-    if isinstance(settings, list | tuple):
-        return [convert_to_floats(value) for value in settings]
-    is_integer = isinstance(settings, int) and not isinstance(settings, bool)
-    return float(settings) if is_integer else settings
-
-
 def compute_digest(settings: object) -> str:
     """Compute eight hexadecimal digits of nested settings; 1 and 1.0 are the same setting."""
-    text = json.dumps(convert_to_floats(settings), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:8]
+    floats = json.loads(json.dumps(settings), parse_int=float)
+    return hashlib.sha256(json.dumps(floats, sort_keys=True).encode()).hexdigest()[:8]
 
 
 def compute_fingerprint(settings: DataSettings, sensor: Sensor) -> str:
-    """Compute the digest of `describe_set`."""
     return compute_digest(describe_set(settings, sensor))
 
 

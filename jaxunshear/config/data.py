@@ -46,7 +46,7 @@ class Ranges:
     def find_problems(self) -> Iterator[Problem]:
         """Find problems with any sensor; `rules_simulated.py` finds those with its reach."""
         if not self.depth_min_mm <= self.depth_max_mm:
-            yield Problem("depth_min_mm", f"must not exceed depth_max_mm ({self.depth_max_mm:g})")
+            yield "depth_min_mm", f"must not exceed depth_max_mm ({self.depth_max_mm:g})"
 
 
 # a set is recorded over days (paper section 3.2.2)
@@ -107,29 +107,25 @@ class SimulatedData(DataSettings):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the stimuli."""
         return list_stimulus_names(self.stimuli)
 
     def count_training_poses(self) -> int:
-        """Count the training poses over all stimuli."""
         return sum(count_train_poses(self.seed, name, self.poses) for name in self.names)
 
     def find_problems(self) -> Iterator[Problem]:
         if not self.stimuli:
-            yield Problem("stimuli", "name at least one")
+            yield "stimuli", "name at least one"
         if len(set(self.names)) < len(self.names):
-            yield Problem("stimuli", "name each stimulus once")
+            yield "stimuli", "name each stimulus once"
         if self.friction is not None and not self.friction >= 0:
-            yield Problem("friction", "use 0 or more, or none for each material's own")
+            yield "friction", "use 0 or more, or none for each material's own"
         frame_px = self.camera.frame_px
         if self.preprocess.size > frame_px:
             remedy = "use a smaller size or a larger camera.frame_px"
-            yield Problem(
-                "preprocess.size", f"larger than the camera's frame of {frame_px} px: {remedy}"
-            )
+            yield "preprocess.size", f"larger than the camera's frame of {frame_px} px: {remedy}"
         for name, most in (("blur_px", frame_px / 8), ("drift_px", frame_px / 4)):
             if not 0 <= getattr(self.nuisance, name) <= most:
-                yield Problem(f"nuisance.{name}", f"use 0 to {most:g} for a frame of {frame_px} px")
+                yield f"nuisance.{name}", f"use 0 to {most:g} for a frame of {frame_px} px"
 
 
 @dataclass(frozen=True)
@@ -156,11 +152,11 @@ class PairedData(SimulatedData, SourceSettings):
     def find_problems(self) -> Iterator[Problem]:
         yield from super().find_problems()
         if self.taps > self.slides:
-            yield Problem("taps", f"exceeds slides ({self.slides}): some would never be paired")
+            yield "taps", f"exceeds slides ({self.slides}): some would never be paired"
         most = self.ranges.depth_min_mm
         if not 0 <= self.tap_depth_jitter_mm <= most:
             remedy = f"use 0 to ranges.depth_min_mm ({most:g}), or a tap may miss the stimulus"
-            yield Problem("tap_depth_jitter_mm", remedy)
+            yield "tap_depth_jitter_mm", remedy
 
 
 @dataclass(frozen=True)
@@ -225,23 +221,16 @@ class Recorded(SourceSettings):
 
     def find_problems(self) -> Iterator[Problem]:
         if not (self.tap_folder or self.slide_folder):
-            yield Problem("tap_folder", "name your recordings: add --recordings DIR")
+            yield "tap_folder", "name your recordings: add --recordings DIR"
         if bool(self.pairs) != (self.pairing == "file"):
-            remedy = "a table of pairs goes with pairing file: add both, or neither"
-            yield Problem("pairs", remedy)
+            yield "pairs", "a table of pairs goes with pairing file: add both, or neither"
         use = self.labelled, self.unlabelled, self.direct_taps
         if self.pairing == "simulated" and use != (1, "left_out", "none"):
-            yield Problem(
-                "pairing",
-                "simulated takes no recorded slide to learn from: "
-                "leave labelled at 1, unlabelled at left_out and direct_taps at none",
-            )
+            remedy = "leave labelled at 1, unlabelled at left_out and direct_taps at none"
+            yield "pairing", f"simulated takes no recorded slide to learn from: {remedy}"
         if self.unlabelled == "read" and self.pairing not in ("rendered", "nearest"):
-            yield Problem(
-                "unlabelled",
-                f"poses that are read give no partner for pairing {self.pairing}: "
-                "use pairing rendered or nearest",
-            )
+            problem = f"poses that are read give no partner for pairing {self.pairing}"
+            yield "unlabelled", f"{problem}: use pairing rendered or nearest"
 
     def list_helpers(self, spec: NetworkSpec, pins: bool) -> tuple[str, ...]:
         if spec.role == "unshears":

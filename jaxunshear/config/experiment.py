@@ -1,7 +1,7 @@
 """What an experiment file holds: one frozen dataclass for the entire path of the data."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from jaxunshear.config.data import PairedData, PoseData, RecordedTaps, Seed, SourceSettings
@@ -9,7 +9,7 @@ from jaxunshear.config.networks import NETWORKS, PinNet, PoseNet, UnshearNet, li
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.config.training import POSENET_TRAINING, Training
-from jaxunshear.config.types import Problem
+from jaxunshear.config.types import Problem, replace_value
 
 PIN_TRAINING = Training(
     epochs=100,
@@ -60,17 +60,17 @@ class Experiment:
     def find_problems(self) -> Iterator[Problem]:
         if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", self.name):
             remedy = "use letters, digits, '-', '_' and '.'; it names the folder of the results"
-            yield Problem("name", remedy)
+            yield "name", remedy
         known = ", ".join(list_networks())
         if not self.networks:
-            yield Problem("networks", f"name at least one of {known}")
+            yield "networks", f"name at least one of {known}"
         if len(set(self.networks)) < len(self.networks):
-            yield Problem("networks", "name each network once")
+            yield "networks", "name each network once"
         if unknown := ", ".join(name for name in self.networks if name not in list_networks()):
             remedy = f"use one of {known}, or name the experiment file that registers it"
-            yield Problem("networks", f"{unknown} is unknown: {remedy}")
+            yield "networks", f"{unknown} is unknown: {remedy}"
         if len(set(list_stimulus_names(self.unseen))) < len(self.unseen):
-            yield Problem("unseen", "name each stimulus once")
+            yield "unseen", "name each stimulus once"
 
 
 def uses_pins(experiment: Experiment) -> bool:
@@ -78,11 +78,11 @@ def uses_pins(experiment: Experiment) -> bool:
     return experiment.unshear.input == "pins"
 
 
-# fields of an experiment that add further tests, and how these tests are called
+# fields of an experiment that add further tests: the names of these tests, and what they set
 FURTHER_TESTS = {
-    "other_jitters_mm": "depth_{:g}mm",
-    "other_twists_deg": "twist_{:g}deg",
-    "other_tilts_deg": "tilt_{:g}deg",
+    "other_jitters_mm": ("depth_{:g}mm", "tap_depth_jitter_mm"),
+    "other_twists_deg": ("twist_{:g}deg", "ranges.twist_deg"),
+    "other_tilts_deg": ("tilt_{:g}deg", "ranges.tilt_deg"),
 }
 
 
@@ -96,16 +96,7 @@ def list_further_tests(experiment: Experiment) -> dict[str, PairedData]:
         return {}
     fifth = replace(paired, poses=max(5, round(0.2 * paired.poses)), seed=paired.seed + 1000)
     tests = {"unseen": replace(fifth, stimuli=experiment.unseen)} if experiment.unseen else {}
-    changes: dict[str, Callable[[float], PairedData]] = {
-        "other_jitters_mm": lambda jitter: replace(fifth, tap_depth_jitter_mm=jitter),
-        "other_twists_deg": lambda twist: _replace_range(fifth, twist_deg=twist),
-        "other_tilts_deg": lambda tilt: _replace_range(fifth, tilt_deg=tilt),
-    }
-    for group, name in FURTHER_TESTS.items():
+    for group, (name, setting) in FURTHER_TESTS.items():
         for value in getattr(experiment, group):
-            tests[name.format(value)] = changes[group](value)
+            tests[name.format(value)] = replace_value(fifth, setting, value)
     return tests
-
-
-def _replace_range(data: PairedData, **ranges: float) -> PairedData:
-    return replace(data, ranges=replace(data.ranges, **ranges))

@@ -5,25 +5,24 @@
 >>> validate(experiment)
 """
 
-import dataclasses
 import difflib
+import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.outlines import parse_stimulus
 from jaxunshear.config.sensor import Sensor, get_sensor
 from jaxunshear.config.types import (
+    WEIGHTS,
     Hint,
     Value,
     describe_hint,
-    get_optional,
     get_origin,
-    is_weights,
     list_choices,
     list_groups,
     list_hints,
+    replace_value,
 )
 from jaxunshear.errors import UserError
 
@@ -38,18 +37,16 @@ def override_fields(experiment: Experiment, argv: Sequence[str]) -> Experiment:
 
 
 def replace_field(experiment: Experiment, name: str, value: object) -> Experiment:
-    """Replace the field of this dotted name; `check_types` judges its type.
-
-    Raises UserError if there is no such field.
-    """
-    _find_field_type(name, dict(list_field_types()))
-    return _replace_at_path(experiment, name.split("."), value)
+    """Replace the field of this dotted name, by a value of any type. Raises UserError."""
+    _find_field_type(name)
+    return replace_value(experiment, name, value)
 
 
-def _find_field_type(name: str, kinds: Mapping[str, Hint]) -> Hint:
+def _find_field_type(name: str) -> Hint:
     """Return the type of a field, or of one weight of a field of weights. Raises UserError."""
+    kinds = list_field_types()
     group, _, part = name.rpartition(".")
-    if part and is_weights(kinds.get(group)):
+    if part and kinds.get(group) == WEIGHTS:
         return float
     if name not in kinds:
         raise UserError(f"there is no field --{name}{_suggest_field(name, list(kinds))}")
@@ -57,11 +54,7 @@ def _find_field_type(name: str, kinds: Mapping[str, Hint]) -> Hint:
 
 
 def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
-    """Return dotted names and values of `--name value` or `--name=value`.
-
-    Raises UserError for an unknown name, and for a value of a wrong type.
-    """
-    kinds = dict(list_field_types())
+    """Parse `--name value` or `--name=value` to dotted names and values. Raises UserError."""
     pairs = []
     words = iter(argv)
     for word in words:
@@ -70,7 +63,7 @@ def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
                 f"argument '{word}' is not understood: fields are changed by --name value"
             )
         name, equals, text = word[2:].partition("=")
-        kind = _find_field_type(name, kinds)
+        kind = _find_field_type(name)
         if not equals:
             text = next(words, "--")
             if text.startswith("--"):
@@ -85,10 +78,7 @@ def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
 def split_overrides(
     argv: Sequence[str], options: Iterable[str], flags: Iterable[str]
 ) -> tuple[list[str], list[str]]:
-    """Split a command line into what argparse reads, and every `--name value` beside `options`.
-
-    No value follows `flags`.
-    """
+    """Split a command line into words for argparse and fields; no value follows `flags`."""
     arguments: list[str] = []
     fields: list[str] = []
     words = iter(argv)
@@ -102,22 +92,18 @@ def split_overrides(
     return arguments, fields
 
 
-def list_field_types(kind: type = Experiment, prefix: str = "") -> Iterator[tuple[str, Hint]]:
-    """Yield dotted names and types of all fields that can be set; `sensor` itself takes a name.
-
-    A group that may be of several kinds has the fields of all.
-    """
-    for field in dataclasses.fields(kind):
-        if field.name in NOT_SETTABLE:
-            continue
-        hint = list_hints(kind)[field.name]
+def list_field_types(kind: type = Experiment, prefix: str = "") -> dict[str, Hint]:
+    """List the types of all fields that can be set, of each kind of a group, by dotted name."""
+    fields = {}
+    for name, hint in list_hints(kind).items():
         groups = list_groups(hint)
+        if name in NOT_SETTABLE:
+            continue
         if not groups or hint is Sensor:
-            yield prefix + field.name, hint
-        inner: dict[str, Hint] = {}
+            fields[prefix + name] = hint
         for group in groups:
-            inner |= dict(list_field_types(group, f"{prefix}{field.name}."))
-        yield from inner.items()
+            fields |= list_field_types(group, f"{prefix}{name}.")
+    return fields
 
 
 def format_value(value: object) -> str:
@@ -125,14 +111,11 @@ def format_value(value: object) -> str:
     if isinstance(value, Sensor):
         return value.name
     if isinstance(value, Mapping):
-        return ",".join(f"{name}:{weight}" for name, weight in value.items()) or "''"
+        value = tuple(value.items())
     if isinstance(value, tuple):
-        return ",".join(map(_format_item, value)) or "''"
+        parts = [item if isinstance(item, tuple) else (item,) for item in value]
+        return ",".join(":".join(map(str, part)) for part in parts) or "''"
     return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def _format_item(item: object) -> str:
-    return ":".join(map(str, item)) if isinstance(item, tuple) else str(item)
 
 
 def _suggest_field(name: str, kinds: list[str]) -> str:
@@ -156,33 +139,19 @@ def _suggest_field(name: str, kinds: list[str]) -> str:
     return f": did you mean {' or '.join('--' + kind for kind in near)}?"
 
 
-def _replace_at_path(node: Any, path: list[str], value: object) -> Any:
-    if isinstance(node, Mapping):
-        return {**node, path[0]: value}
-    if not hasattr(node, path[0]):
-        raise UserError(
-            f"this experiment has no field {path[0]} there: "
-            f"its {type(node).__name__} has other fields"
-        )
-    if len(path) > 1:
-        value = _replace_at_path(getattr(node, path[0]), path[1:], value)
-    return dataclasses.replace(node, **{path[0]: value})
-
-
 def _parse_value(text: str, kind: Hint) -> Value:
     """Parse `text` as a value of `kind`. Raises ValueError."""
-    if (inner := get_optional(kind)) is not None:
-        return None if text.lower() == "none" else _parse_value(text, inner)
+    kinds = typing.get_args(kind)
+    if types.NoneType in kinds:
+        return None if text.lower() == "none" else _parse_value(text, kinds[0])
     if get_origin(kind) is tuple:
-        kinds, is_list = typing.get_args(kind), typing.get_args(kind)[-1] is ...
-        items = text.split("," if is_list else ":") if text or not is_list else []
-        kinds = kinds[:1] * len(items) if is_list else kinds
-        return tuple(
-            _parse_value(item.strip(), each) for item, each in zip(items, kinds, strict=True)
-        )
-    if is_weights(kind):
-        pairs = [item.split(":") for item in text.split(",") if item]
-        return {name.strip(): float(weight) for name, weight in pairs}
+        if kinds[-1] is ...:
+            return tuple(_parse_value(item.strip(), kinds[0]) for item in text.split(",") if text)
+        pairs = zip(text.split(":"), kinds, strict=True)
+        return tuple(_parse_value(item.strip(), each) for item, each in pairs)
+    if kind == WEIGHTS:
+        weights = [item.split(":") for item in text.split(",") if item]
+        return {name.strip(): float(weight) for name, weight in weights}
     if kind is bool:
         if text.lower() not in ("true", "false"):
             raise ValueError

@@ -11,7 +11,7 @@ from typing import Any
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import LOSSES
 from jaxunshear.config.networks import REGISTRY
-from jaxunshear.config.sensor import list_own_layouts
+from jaxunshear.config.sensor import LAYOUTS, RING_LAYOUTS
 from jaxunshear.config.types import check_types
 from jaxunshear.errors import UserError
 
@@ -24,10 +24,7 @@ def load_experiment(path: str | Path) -> Experiment:
 
 
 def load_variable(path: str | Path, **kinds: type) -> Any:
-    """Return the first variable of a Python file that is among `kinds`, of the type given there.
-
-    The file may import files beside it, and in the folder above. Raises UserError.
-    """
+    """Return the first variable of a Python file that `kinds` names, of the type given there."""
     path = Path(path)
     variables = run_file(path)
     for name, kind in kinds.items():
@@ -50,10 +47,7 @@ def load_variable(path: str | Path, **kinds: type) -> Any:
 
 
 def run_file(path: Path) -> dict[str, Any]:
-    """Run an experiment file and return its variables. Raises UserError.
-
-    The losses and networks that it registers stay registered.
-    """
+    """Run an experiment file, return its variables; what it registers stays. Raises UserError."""
     if not path.is_file():
         problem = "is a folder" if path.is_dir() else "does not exist"
         raise UserError(f"experiment file {path} {problem}: name a Python file")
@@ -65,12 +59,10 @@ def run_file(path: Path) -> dict[str, Any]:
 
 
 def list_registering_files() -> list[str]:
-    """List the experiment files that have registered losses, layouts or networks.
-
-    Processes of a sweep run them.
-    """
-    losses = [spec.compute for spec in LOSSES.values() if spec.compute is not None]
-    files = {function.__code__.co_filename for function in [*losses, *list_own_layouts()]}
+    """List the experiment files that have registered losses, layouts or networks."""
+    functions = [spec.compute for spec in LOSSES.values() if spec.compute]
+    functions += [place for name, place in LAYOUTS.items() if name not in RING_LAYOUTS]
+    files = {function.__code__.co_filename for function in functions}
     return sorted(files | {spec.file for spec in REGISTRY.values() if spec.file})
 
 

@@ -61,7 +61,6 @@ class LossSpec:
     is_validated: bool = True  # also computed on validation examples
 
     def load(self) -> Callable[..., Any]:
-        """Return the function that computes the loss."""
         place = f"jaxunshear.training.losses:compute_{self.name}_term"
         return self.compute or pkgutil.resolve_name(place)
 
@@ -102,40 +101,25 @@ LOSSES: dict[str, LossSpec] = {
 }
 
 
-def register_loss(
-    name: str,
-    *,
-    role: Role = "unshears",
-    modalities: tuple[InputKind, ...] = ("images", "pins"),
-    parts: tuple[str, ...] = (),
-    fields: tuple[str, ...] = (),
-    requires: tuple[Requirement, ...] = (),
-    is_validated: bool = True,
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Register a function as a loss that a training can name.
+def register_loss(name: str, **needs: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Register a function as a loss that a training can name; `needs` are fields of `LossSpec`.
 
     The function takes the inputs of its role, `PairInputs` or `PoseInputs` of training/losses.py,
-    and returns a loss per example (B,). `LossSpec` explains the other arguments. Raises UserError
-    if another loss has this name.
+    and returns a loss per example (B,). Raises UserError if another loss has this name.
     """
 
     def register(compute: Callable[..., Any]) -> Callable[..., Any]:
-        registered = LOSSES.get(name)
-        if registered is not None:
-            others = registered.compute
-            # a file may be read twice
-            if others is None or others.__code__.co_filename != compute.__code__.co_filename:
-                raise UserError(f"loss '{name}' is there already: choose another name")
-        LOSSES[name] = LossSpec(
-            name, compute, role, modalities, parts, fields, requires, is_validated
-        )
+        other = LOSSES[name].compute if name in LOSSES else compute
+        # a file may be read twice
+        if other is None or other.__code__.co_filename != compute.__code__.co_filename:
+            raise UserError(f"loss '{name}' is there already: choose another name")
+        LOSSES[name] = LossSpec(name, compute, **needs)
         return compute
 
     return register
 
 
 def get_loss(name: str) -> LossSpec:
-    """Return the entry of a loss. Raises UserError for an unknown one."""
     if name not in LOSSES:
         raise UserError(
             f"loss '{name}' is unknown: use one of {', '.join(LOSSES)}, "

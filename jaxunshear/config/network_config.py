@@ -9,7 +9,6 @@ experiment: `_list_helpers` lists the networks that it learns from, `select_for`
 selects its data, `_select_training` its losses and schedule, `_select_net` its size and parts.
 """
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import cast
@@ -69,7 +68,6 @@ class NetworkConfig:
 
 
 def resolve_network(experiment: Experiment, name: str) -> NetworkConfig:
-    """Resolve the config of one network of an experiment."""
     spec, pins = REGISTRY[name], uses_pins(experiment)
     training, simulated = _select_training(experiment, spec), experiment.paired.is_simulated
     learns_from_taps = "tap_identity" in training.losses and simulated
@@ -95,22 +93,17 @@ def resolve_trained_networks(experiment: Experiment) -> list[NetworkConfig]:
 
 def list_trained_networks(experiment: Experiment) -> tuple[str, ...]:
     """List the networks to train, in this order: `experiment.networks` after those they need."""
-    return _put_helpers_first([resolve_network(experiment, name) for name in experiment.networks])
+    configs = [resolve_network(experiment, name) for name in experiment.networks]
+    return list_required_networks(*configs)
 
 
-def list_required_networks(config: NetworkConfig) -> tuple[str, ...]:
-    """List the networks that must be trained in a folder, in this order, to have this one."""
-    return _put_helpers_first([config])
-
-
-def _put_helpers_first(configs: Sequence[NetworkConfig]) -> tuple[str, ...]:
-    needed = {name for config in configs for name in _list_needs(config)}
+def list_required_networks(*configs: NetworkConfig) -> tuple[str, ...]:
+    """List the networks that must be trained in a folder, in this order, to have these."""
+    needed: set[str] = set()
+    for config in configs:
+        needed.update(list_required_networks(*config.needs))
     first = [name for name in HELPERS if name in needed]
     return tuple(dict.fromkeys([*first, *(config.name for config in configs)]))
-
-
-def _list_needs(config: NetworkConfig) -> set[str]:
-    return {name for need in config.needs for name in (need.name, *_list_needs(need))}
 
 
 def takes_taps(experiment: Experiment) -> bool:
@@ -120,7 +113,6 @@ def takes_taps(experiment: Experiment) -> bool:
 
 
 def _list_helpers(experiment: Experiment, spec: NetworkSpec) -> tuple[str, ...]:
-    """List the networks that a network learns from: by its losses, and by its data."""
     pins = uses_pins(experiment)
     training = experiment.train_pins if pins else experiment.train
     teacher = (TEACHER,) if spec.role == "unshears" and uses_teacher(training) else ()

@@ -46,10 +46,10 @@ class UnshearNet:
 
     def find_problems(self) -> Iterator[Problem]:
         if len(self.widths) < 2:
-            yield Problem("widths", "list at least two")
+            yield "widths", "list at least two"
         if self.size % 2 ** len(self.widths):
             divisor = 2 ** len(self.widths)
-            yield Problem("size", f"is not divisible by {divisor}: each width halves the image")
+            yield "size", f"is not divisible by {divisor}: each width halves the image"
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,9 @@ class PoseNet:
 
     def find_problems(self) -> Iterator[Problem]:
         if len(self.widths) != 5:
-            yield Problem("widths", "list five: PoseNet has five convolutions")
+            yield "widths", "list five: PoseNet has five convolutions"
         if self.size % 16:
-            yield Problem("size", "is no multiple of 16, which PoseNet's strides and pooling need")
+            yield "size", "is no multiple of 16, which PoseNet's strides and pooling need"
 
 
 @dataclass(frozen=True)
@@ -199,8 +199,3 @@ def add_network(spec: NetworkSpec) -> None:
 def list_networks() -> tuple[str, ...]:
     """List the networks that an experiment can name, with registered ones."""
     return tuple(name for name in REGISTRY if name not in (RENDERER, TEACHER))
-
-
-def list_modality_networks(modality: InputKind) -> list[str]:
-    """List the networks that may read inputs of a modality."""
-    return [name for name in list_networks() if modality in REGISTRY[name].modalities]

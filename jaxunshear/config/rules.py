@@ -3,15 +3,14 @@
 Nothing is simulated or trained, so a refusal takes no time.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import fields
+from collections.abc import Iterator
 
 from jaxunshear.config.data import PairedData, PoseData, Recorded, RecordedTaps
 from jaxunshear.config.experiment import FURTHER_TESTS, Experiment, uses_pins
 from jaxunshear.config.fields import format_value, replace_field
 from jaxunshear.config.losses import EXCHANGE, InputKind, Requirement, Role, get_loss
 from jaxunshear.config.network_config import list_trained_networks, resolve_trained_networks
-from jaxunshear.config.networks import POSENET_SHEARED, RENDERER, TEACHER, list_modality_networks
+from jaxunshear.config.networks import POSENET_SHEARED, REGISTRY, RENDERER, TEACHER, list_networks
 from jaxunshear.config.rules_simulated import find_simulated_problems
 from jaxunshear.config.sensor import TACTIP_331_FITTED
 from jaxunshear.config.targets import (
@@ -46,8 +45,7 @@ def find_experiment_problems(experiment: Experiment) -> Iterator[Problem]:
     paired, pose = experiment.paired, experiment.pose
     pose_kind = PoseData if isinstance(paired, PairedData) else RecordedTaps
     if type(pose) is not pose_kind:
-        remedy = f"paired is {type(paired).__name__}, which takes pose={pose_kind.__name__}()"
-        yield Problem("name", remedy)
+        yield "name", f"paired is {type(paired).__name__}, which takes pose={pose_kind.__name__}()"
     # a source that an experiment file adds has no problems but its own
     if type(paired) is PairedData and isinstance(pose, PoseData):
         yield from find_simulated_problems(experiment, paired, pose)
@@ -57,14 +55,14 @@ def find_experiment_problems(experiment: Experiment) -> Iterator[Problem]:
     for group in ("unshear", "posenet"):
         if getattr(experiment, group).size != size:
             remedy = f"make it and paired.preprocess.size ({size}) equal"
-            yield Problem(f"{group}.size", f"differs from the data set's images: {remedy}")
+            yield f"{group}.size", f"differs from the data set's images: {remedy}"
     if not unshear.disentangled:
         remedy = "it is a setting of both networks: to train one use `--networks entangled`"
-        yield Problem("unshear.disentangled", remedy)
-    possible = list_modality_networks(unshear.input)
+        yield "unshear.disentangled", remedy
+    possible = [name for name in list_networks() if unshear.input in REGISTRY[name].modalities]
     if others := ", ".join(name for name in experiment.networks if name not in possible):
         remedy = f"use {', '.join(possible)}"
-        yield Problem("networks", f"{others} does not read {unshear.input}: {remedy}")
+        yield "networks", f"{others} does not read {unshear.input}: {remedy}"
     yield from _find_training_problems(experiment)
     yield from _find_unused_fields(experiment)
 
@@ -72,26 +70,21 @@ def find_experiment_problems(experiment: Experiment) -> Iterator[Problem]:
 def _find_recorded_problems(experiment: Experiment, recorded: Recorded) -> Iterator[Problem]:
     """Find problems of an experiment about recordings, before these are read."""
     pins, sensor_pins = experiment.pins, experiment.sensor.pins
-    if recorded.pairing == "simulated" and sensor_pins != TACTIP_331_FITTED.pins:
-        yield Problem(
-            "paired.pairing",
-            f"simulated follows the one sensor that is fitted, of {TACTIP_331_FITTED.pins} pins; "
-            f"yours has {sensor_pins}",
-        )
+    fitted = TACTIP_331_FITTED.pins
+    if recorded.pairing == "simulated" and sensor_pins != fitted:
+        problem = f"simulated follows the one sensor that is fitted, of {fitted} pins"
+        yield "paired.pairing", f"{problem}; yours has {sensor_pins}"
     if recorded.direct_taps == "rendered" and not uses_pins(experiment):
-        remedy = "rendered is for networks over pins: use recorded"
-        yield Problem("paired.direct_taps", remedy)
+        yield "paired.direct_taps", "rendered is for networks over pins: use recorded"
     if pins.turned and pins.direct_convolved:
-        remedy = "takes recorded pins as they are: leave pins.turned at 0"
-        yield Problem("pins.direct_convolved", remedy)
+        yield "pins.direct_convolved", "takes recorded pins as they are: leave pins.turned at 0"
     if experiment.train_pins.paired_share != 1:
-        remedy = "is for simulated pairs: use paired.labelled"
-        yield Problem("train_pins.paired_share", remedy)
+        yield "train_pins.paired_share", "is for simulated pairs: use paired.labelled"
     for field in ("unseen", *FURTHER_TESTS):
         if getattr(experiment, field):
-            yield Problem(field, "is a test of simulated touches: leave it empty")
+            yield field, "is a test of simulated touches: leave it empty"
     for problem in list_text_problems(experiment.targets, RECORDED_FIELDS | LABELLED_SLIDES):
-        yield Problem("targets", problem)
+        yield "targets", problem
     if slides := ", ".join(list_slide_names(experiment.targets)):
         yield from _find_slide_target_problems(experiment, recorded, slides)
 
@@ -101,12 +94,11 @@ def _find_slide_target_problems(
 ) -> Iterator[Problem]:
     """Find what does not go with targets that are recorded slides."""
     if recorded.direct_taps == "rendered":
-        yield Problem("paired.direct_taps", f"rendered knows no {slides}: use recorded or none")
+        yield "paired.direct_taps", f"rendered knows no {slides}: use recorded or none"
     if set(list_trained_networks(experiment)) != {POSENET_SHEARED}:
-        remedy = f"a tap has no {slides}: name --networks posenet_sheared alone"
-        yield Problem("targets", remedy)
+        yield "targets", f"a tap has no {slides}: name --networks posenet_sheared alone"
     if experiment.pins.turned:
-        yield Problem("pins.turned", f"does not turn {slides}: leave it at 0")
+        yield "pins.turned", f"does not turn {slides}: leave it at 0"
 
 
 def _find_training_problems(experiment: Experiment) -> Iterator[Problem]:
@@ -115,10 +107,10 @@ def _find_training_problems(experiment: Experiment) -> Iterator[Problem]:
     if isinstance(paired, PairedData) and isinstance(pose, PoseData):
         pairs, taps = paired.slides * paired.count_training_poses(), pose.count_training_poses()
     if experiment.train.crop_px > experiment.unshear.size:
-        yield Problem("train.crop_px", f"must be 1 to the image's {experiment.unshear.size} px")
+        yield "train.crop_px", f"must be 1 to the image's {experiment.unshear.size} px"
     if experiment.train_teacher.start:
         remedy = "leave it empty: the PoseNet that scores a network must not supervise it"
-        yield Problem("train_teacher.start", remedy)
+        yield "train_teacher.start", remedy
     yield from _find_group_problems(experiment, "train", "unshears", pairs)
     for group, apart, code in (
         ("train", "unshear.apart", experiment.unshear.shear_channels),
@@ -127,7 +119,7 @@ def _find_training_problems(experiment: Experiment) -> Iterator[Problem]:
         learns_slide = "slide" in getattr(experiment, group).losses and code > 0
         if get_value(experiment, apart) and not learns_slide:
             remedy = f"raise {group}.losses.slide, and the size of the shear code"
-            yield Problem(apart, f"leaves z_s to learn from the slide alone: {remedy}")
+            yield apart, f"leaves z_s to learn from the slide alone: {remedy}"
     yield from _find_group_problems(experiment, "train_posenet", "reads poses", taps)
     if TEACHER in trained and not pins:
         yield from _find_group_problems(experiment, "train_teacher", "reads poses", taps)
@@ -136,7 +128,7 @@ def _find_training_problems(experiment: Experiment) -> Iterator[Problem]:
     train_pins = experiment.train_pins
     if train_pins.paired_share < 1 and not set(EXCHANGE).isdisjoint(train_pins.losses):
         remedy = f"leave it at 1, or {' and '.join(EXCHANGE)} out"
-        yield Problem("train_pins.paired_share", f"leaves slides without their partners: {remedy}")
+        yield "train_pins.paired_share", f"leaves slides without their partners: {remedy}"
 
 
 def _find_group_problems(
@@ -146,63 +138,50 @@ def _find_group_problems(
     training = getattr(experiment, group)
     if training.batch > examples:
         remedy = "use a smaller batch or more poses"
-        yield Problem(f"{group}.batch", f"is larger than the training set of {examples}: {remedy}")
+        yield f"{group}.batch", f"is larger than the training set of {examples}: {remedy}"
     modality: InputKind = "pins" if group == "train_pins" else "images"
+    is_met = _meet_requirements(experiment, modality)
     for name in training.losses:
         field = f"{group}.losses.{name}"
         try:
             spec = get_loss(name)
         except UserError as error:
-            yield Problem(field, str(error))
+            yield field, str(error)
             continue
         if spec.role != role:
-            yield Problem(field, f"is for a network that {spec.role}: leave it out")
+            yield field, f"is for a network that {spec.role}: leave it out"
         if modality not in spec.modalities:
             kinds = " and ".join(spec.modalities)
-            yield Problem(field, f"is for networks over {kinds}: leave it out")
+            yield field, f"is for networks over {kinds}: leave it out"
         for requirement in spec.requires:
-            holds, remedy = REQUIREMENTS[requirement]
-            if not holds(experiment, modality):
-                yield Problem(field, remedy)
+            if not is_met[requirement]:
+                yield field, REMEDIES[requirement]
 
 
-def _has_codes(experiment: Experiment, modality: InputKind) -> bool:
-    if modality == "pins":
-        return experiment.pins.shear_code > 0 and not experiment.pins.turned
-    return experiment.unshear.apart and not uses_pins(experiment)
-
-
-def _has_two_slides(experiment: Experiment, _: InputKind) -> bool:
-    return getattr(experiment.paired, "slides", 0) > 1
-
-
-def _shares_slides(experiment: Experiment, modality: InputKind) -> bool:
-    shares = getattr(experiment.paired, "poses_a_slide", 0) > 1
-    return shares and _has_two_slides(experiment, modality)
-
-
-# what a loss can require: whether an experiment has it, and what to do if not
-REQUIREMENTS: dict[Requirement, tuple[Callable[[Experiment, InputKind], bool], str]] = {
-    "codes": (
-        _has_codes,
-        "takes codes that are apart: set unshear.apart; "
-        "over pins raise pins.shear_code, and leave pins.turned at 0",
-    ),
-    "shared slides": (
-        _shares_slides,
-        "takes simulated slides that poses share, two at least: "
-        "raise paired.poses_a_slide and paired.slides",
-    ),
-    "two slides": (_has_two_slides, "takes two slides to a pose: raise paired.slides"),
-    "simulated": (
-        lambda experiment, _: experiment.paired.is_simulated,
-        "takes simulated contacts: leave it out",
-    ),
-    "still pins": (
-        lambda experiment, _: not experiment.pins.turned,
-        "takes pins as they are: leave it out, or pins.turned at 0",
-    ),
+REMEDIES: dict[Requirement, str] = {  # if a loss requires what an experiment lacks
+    "codes": "takes codes that are apart: set unshear.apart; "
+    "over pins raise pins.shear_code, and leave pins.turned at 0",
+    "shared slides": "takes simulated slides that poses share, two at least: "
+    "raise paired.poses_a_slide and paired.slides",
+    "two slides": "takes two slides to a pose: raise paired.slides",
+    "simulated": "takes simulated contacts: leave it out",
+    "still pins": "takes pins as they are: leave it out, or pins.turned at 0",
 }
+
+
+def _meet_requirements(experiment: Experiment, modality: InputKind) -> dict[Requirement, bool]:
+    """Return whether an experiment has what losses may require of networks over `modality`."""
+    paired, is_still = experiment.paired, not experiment.pins.turned
+    has_two_slides = getattr(paired, "slides", 0) > 1
+    has_pin_codes = experiment.pins.shear_code > 0 and is_still
+    has_image_codes = experiment.unshear.apart and not uses_pins(experiment)
+    return {
+        "codes": has_pin_codes if modality == "pins" else has_image_codes,
+        "shared slides": has_two_slides and getattr(paired, "poses_a_slide", 0) > 1,
+        "two slides": has_two_slides,
+        "simulated": paired.is_simulated,
+        "still pins": is_still,
+    }
 
 
 def _find_unused_fields(experiment: Experiment) -> Iterator[Problem]:
@@ -210,13 +189,9 @@ def _find_unused_fields(experiment: Experiment) -> Iterator[Problem]:
     configs = resolve_trained_networks(experiment)
     for field in PARTLY_USED:
         group, _, name = field.partition(".")
-        settings = getattr(experiment, group)
-        defaults = {each.name: each.default for each in fields(settings)}
-        if getattr(settings, name, None) == defaults.get(name):
+        default = getattr(type(getattr(experiment, group)), name, None)
+        if default is None or get_value(experiment, field) == default:
             continue
-        plain = replace_field(experiment, field, defaults[name])
-        if resolve_trained_networks(plain) == configs:
-            remedy = f"leave it at {format_value(defaults[name])}"
-            yield Problem(
-                field, f"changes none of the networks that this experiment trains: {remedy}"
-            )
+        if resolve_trained_networks(replace_field(experiment, field, default)) == configs:
+            remedy = f"leave it at {format_value(default)}"
+            yield field, f"changes none of the networks that this experiment trains: {remedy}"

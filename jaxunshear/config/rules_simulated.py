@@ -25,6 +25,7 @@ from jaxunshear.config.targets import (
 from jaxunshear.config.types import Problem, find_problems
 from jaxunshear.errors import UserError
 
+UNKNOWN_POSE = "goes beyond pose.ranges.{} ({:g}), where PoseNet knows no pose: widen that one, too"
 # targets that stay true when a simulated contact is turned about the sensor's axis
 ROTATED_TARGETS = {"edge_mm", "edge_deg", "depth_mm"}
 
@@ -32,7 +33,6 @@ ROTATED_TARGETS = {"edge_mm", "edge_deg", "depth_mm"}
 def find_simulated_problems(
     experiment: Experiment, paired: PairedData, pose: PoseData
 ) -> Iterator[Problem]:
-    """Find problems of an experiment about simulated touches."""
     yield from _find_reach_problems(paired, "paired.", experiment.sensor)
     yield from _find_reach_problems(pose, "pose.", experiment.sensor)
     yield from _find_target_problems(experiment, paired, pose)
@@ -50,11 +50,10 @@ def _find_reach_problems(
     for field in ("lateral_mm", "move_mm"):
         if getattr(ranges, field) > dome:
             remedy = f"use 0 to {dome:g} (the dome's radius): beyond it the target is not touched"
-            yield Problem(f"{group}ranges.{field}", remedy)
+            yield f"{group}ranges.{field}", remedy
     edge = compute_contact_angle(sensor)
     if ranges.tilt_deg >= edge:
-        remedy = f"use 0 to below {edge:.0f}, where the dome's contact ends"
-        yield Problem(f"{group}ranges.tilt_deg", remedy)
+        yield f"{group}ranges.tilt_deg", f"use 0 to below {edge:.0f}, where the dome's contact ends"
     deepest = compute_max_contact_depth_mm(sensor, ranges.tilt_deg)
     for field, jitter in (
         ("ranges.depth_max_mm", 0.0),
@@ -62,14 +61,14 @@ def _find_reach_problems(
     ):
         depth = ranges.depth_max_mm + jitter
         if depth > deepest:
-            yield Problem(
-                f"{group}{field}",
-                f"a depth of {depth:g} mm cannot be reached: a dome of radius {dome:g} mm goes to "
-                f"{deepest:.1f} mm at a tilt of {ranges.tilt_deg:g} deg",
+            remedy = f"to {deepest:.1f} mm at a tilt of {ranges.tilt_deg:g} deg"
+            problem = (
+                f"a depth of {depth:g} mm cannot be reached: a dome of radius {dome:g} mm goes"
             )
+            yield f"{group}{field}", f"{problem} {remedy}"
     if data.camera.distance_mm <= dome:
         remedy = f"must exceed the dome's radius ({dome:g}): the camera views the pins from above"
-        yield Problem(f"{group}camera.distance_mm", remedy)
+        yield f"{group}camera.distance_mm", remedy
 
 
 def _find_target_problems(
@@ -77,7 +76,7 @@ def _find_target_problems(
 ) -> Iterator[Problem]:
     """Find targets that are unknown, that the stimuli do not show, or that do not vary."""
     for problem in list_text_problems(experiment.targets, SIMULATED_FIELDS):
-        yield Problem("targets", problem)
+        yield "targets", problem
     named = {text.partition(":")[0] for text in experiment.targets}
     predicted = named or {text.partition(":")[0] for text in PAPER_TARGETS}
     stimuli = {*paired.stimuli, *pose.stimuli, *experiment.unseen}
@@ -85,21 +84,17 @@ def _find_target_problems(
         hidden = ", ".join(sorted(predicted - {*shown}))
         if stimulus in stimuli and hidden:
             remedy = f"does not show {hidden}: name of {', '.join(shown)}"
-            yield Problem("targets", f"the stimulus '{stimulus}' {remedy}")
+            yield "targets", f"the stimulus '{stimulus}' {remedy}"
     for data in (paired, pose, *list_further_tests(experiment).values()):
         try:
             if not make_range_targets(experiment.targets, data.ranges):
-                remedy = "there is none: the ranges of the poses leave nothing to predict"
-                yield Problem("targets", remedy)
+                yield "targets", "there is none: the ranges of the poses leave nothing to predict"
         except UserError as error:
-            yield Problem("targets", str(error))
+            yield "targets", str(error)
     turns_pins = uses_pins(experiment) and experiment.pins.turned > 0
     if turns_pins and not (named and named <= ROTATED_TARGETS):
-        yield Problem(
-            "pins.turned",
-            "turns touches about the sensor's axis, which leaves them these targets alone: "
-            f"{', '.join(sorted(ROTATED_TARGETS))}",
-        )
+        remedy = f"which leaves them these targets alone: {', '.join(sorted(ROTATED_TARGETS))}"
+        yield "pins.turned", f"turns touches about the sensor's axis, {remedy}"
 
 
 def _find_tap_problems(
@@ -109,24 +104,16 @@ def _find_tap_problems(
     for group in ("camera", "preprocess"):
         for field, value in asdict(getattr(paired, group)).items():
             if getattr(getattr(pose, group), field) != value:
-                yield Problem(
-                    f"pose.{group}.{field}",
-                    f"differs from paired.{group}.{field} ({value:g}): make them equal; "
-                    "PoseNet also reads the images of pairs",
-                )
+                remedy = "make them equal; PoseNet also reads the images of pairs"
+                problem = f"differs from paired.{group}.{field} ({value:g}): {remedy}"
+                yield f"pose.{group}.{field}", problem
     for settings in (paired, *list_further_tests(experiment).values()):
         if settings.seed == pose.seed and set(settings.names) & set(pose.names):
-            remedy = "gives PoseNet the taps of poses that it is tested at: use another"
-            yield Problem("pose.seed", remedy)
+            yield "pose.seed", "gives PoseNet the taps of poses that it is tested at: use another"
     for field in ("lateral_mm", "yaw_deg", "depth_max_mm", "tilt_deg", "depth_min_mm"):
         value, limit = getattr(paired.ranges, field), getattr(pose.ranges, field)
-        goes_beyond = value < limit if field == "depth_min_mm" else value > limit
-        if goes_beyond:
-            yield Problem(
-                f"paired.ranges.{field}",
-                f"goes beyond pose.ranges.{field} ({limit:g}), where PoseNet knows no pose: "
-                "widen that one, too",
-            )
+        if value < limit if field == "depth_min_mm" else value > limit:
+            yield f"paired.ranges.{field}", UNKNOWN_POSE.format(field, limit)
 
 
 def _find_scale_problems(
@@ -142,18 +129,15 @@ def _find_scale_problems(
     pair_names, tap_names = list_target_names(pairs), list_target_names(taps)
     if pair_names != tap_names:
         varied = f"pairs vary {', '.join(pair_names)} and taps {', '.join(tap_names)}"
-        yield Problem("targets", f"{varied}: name those that both vary")
+        yield "targets", f"{varied}: name those that both vary"
     if TEACHER in list_trained_networks(experiment):
         for pair, tap in zip(pairs, taps, strict=True):
             if pair.is_circular != tap.is_circular:
-                yield Problem(
-                    "targets",
-                    f"{pair.name} goes round a circle in taps alone, and a teacher reads both: "
-                    f"write {pair.name}:circle",
-                )
+                problem = f"{pair.name} goes round a circle in taps alone, and a teacher reads both"
+                yield "targets", f"{problem}: write {pair.name}:circle"
     if "pose_label" in experiment.train.losses and pairs != taps:
         remedy = "make paired.ranges and pose.ranges equal, or use pose_tap"
-        yield Problem("train.losses.pose_label", f"asks for one scale of poses: {remedy}")
+        yield "train.losses.pose_label", f"asks for one scale of poses: {remedy}"
 
 
 def _find_test_problems(
@@ -162,24 +146,20 @@ def _find_test_problems(
     names = list_stimulus_names({*paired.stimuli, *pose.stimuli})
     if repeated := ", ".join(sorted({name for name in names if names.count(name) > 1})):
         remedy = "give each a name of its own"
-        yield Problem("pose.stimuli", f"two outlines are called {repeated}: {remedy}")
+        yield "pose.stimuli", f"two outlines are called {repeated}: {remedy}"
     unseen = list_stimulus_names(experiment.unseen)
     if trained := ", ".join(name for name in unseen if name in names):
-        yield Problem("unseen", f"{trained} is trained on: name it in one place only")
+        yield "unseen", f"{trained} is trained on: name it in one place only"
     tests = list_further_tests(experiment)
-    for field, further in FURTHER_TESTS.items():
+    for field, (further, _) in FURTHER_TESTS.items():
         values = [further.format(value) for value in getattr(experiment, field)]
         if len(set(values)) < len(values):
-            yield Problem(field, "name each once")
+            yield field, "name each once"
         for data in (tests[value] for value in values):
             reach = _find_reach_problems(data, "", experiment.sensor)
             for _, remedy in chain(find_problems(data), reach):
-                yield Problem(field, remedy)
+                yield field, remedy
     max_tilt = pose.ranges.tilt_deg
     reads_poses = not {POSENET, TEACHER}.isdisjoint(list_trained_networks(experiment))
     if reads_poses and max(experiment.other_tilts_deg, default=0) > max_tilt:
-        yield Problem(
-            "other_tilts_deg",
-            f"goes beyond pose.ranges.tilt_deg ({max_tilt:g}), where PoseNet knows no pose: "
-            "widen that one, too",
-        )
+        yield "other_tilts_deg", UNKNOWN_POSE.format("tilt_deg", max_tilt)

@@ -80,27 +80,24 @@ class Sensor:
 
     def find_problems(self) -> Iterator[Problem]:
         if self.layout not in LAYOUTS:
-            yield Problem("layout", _explain_layouts())
+            yield "layout", _explain_layouts()
         for name, value in vars(self).items():
             if isinstance(value, float) and not math.isfinite(value):
-                yield Problem(name, "must be finite")
+                yield name, "must be finite"
         spacing = self.pin_spacing_mm
         if 2 * self.pin_radius_mm >= spacing:
             remedy = f"pins {spacing:g} mm apart would overlap: use less than half of that"
-            yield Problem("pin_radius_mm", remedy)
+            yield "pin_radius_mm", remedy
         if self.skin_mm + self.pin_length_mm >= self.dome_radius_mm:
-            yield Problem("dome_radius_mm", "must exceed skin_mm + pin_length_mm")
+            yield "dome_radius_mm", "must exceed skin_mm + pin_length_mm"
         places = self.place_pins()
         is_sound = places.ndim == 2 and places.shape[1:] == (2,) and np.isfinite(places).all()
         if not (is_sound and len(places)):
-            yield Problem("layout", f"must place pins at finite (P, 2) mm, not {places.shape}")
+            yield "layout", f"must place pins at finite (P, 2) mm, not {places.shape}"
         rim, reach = self.dome_radius_mm * math.pi / 2, np.linalg.norm(places, axis=-1).max()
         if reach >= rim:
-            yield Problem(
-                "rings" if self.has_rings else "layout",
-                f"pins {reach:.1f} mm from the apex go past the dome's rim at {rim:.1f} mm: "
-                "use fewer or closer ones",
-            )
+            problem = f"pins {reach:.1f} mm from the apex go past the dome's rim at {rim:.1f} mm"
+            yield "rings" if self.has_rings else "layout", f"{problem}: use fewer or closer ones"
 
 
 LayoutFunction = Callable[[Sensor], object]
@@ -152,11 +149,6 @@ def register_layout(name: str) -> Callable[[LayoutFunction], LayoutFunction]:
         return place_pins
 
     return register
-
-
-def list_own_layouts() -> list[LayoutFunction]:
-    """List the layouts that experiment files have registered."""
-    return [layout for name, layout in LAYOUTS.items() if name not in RING_LAYOUTS]
 
 
 def describe_sensor(sensor: Sensor) -> dict[str, object]:
@@ -280,27 +272,11 @@ REACHED_SHARE = 0.7
 MIN_RINGS, MAX_RINGS = 8, 21
 
 
-@dataclass(frozen=True)
-class RingSpacedSensor(Sensor):
-    """A sensor whose contact rings have a spacing that does not follow from its size."""
-
-    ring_mm: float = RING_MM
-
-
-def set_ring_spacing(sensor: Sensor, ring_mm: float) -> Sensor:
-    """Return the sensor with rings of this spacing, which its name then says."""
-    if ring_mm == compute_ring_spacing(sensor):
-        return sensor
-    return RingSpacedSensor(
-        **asdict(sensor) | {"name": f"{sensor.name}-{ring_mm:g}mm"}, ring_mm=ring_mm
-    )
-
-
 def compute_ring_spacing(sensor: Sensor) -> float:
     """Compute the arc between neighbouring rings in mm."""
     covered = sensor.dome_radius_mm * math.radians(COVERED_ANGLE_DEG)
-    usual = max(RING_MM, covered / MAX_RINGS)
-    spacing = sensor.ring_mm if isinstance(sensor, RingSpacedSensor) else usual
+    # a sensor of benchmarks has a spacing of its own
+    spacing = getattr(sensor, "ring_mm", max(RING_MM, covered / MAX_RINGS))
     return min(spacing, covered / MIN_RINGS)
 
 

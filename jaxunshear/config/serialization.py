@@ -8,18 +8,20 @@ import dataclasses
 import typing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from jaxunshear.config.data import PoseData
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.sensor import Camera, Sensor
 from jaxunshear.config.types import (
     Hint,
     describe_hint,
     get_origin,
+    get_value,
     is_of_type,
+    list_choices,
     list_groups,
     list_hints,
+    replace_value,
 )
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_json, read_object
@@ -31,15 +33,11 @@ OLD_FILES = "files of version 0.2.0 and earlier are not read"
 
 
 def to_json(experiment: Experiment) -> Json:
-    """Convert an experiment to nested dictionaries and lists."""
     return dataclasses.asdict(experiment)
 
 
 def from_json(data: object, source: str = "experiment.json") -> Experiment:
-    """Return the experiment that `to_json` wrote, with or without the version.
-
-    Raises UserError naming fields that are unknown, missing or of a wrong type, or another version.
-    """
+    """Return the experiment that `to_json` wrote. Raises UserError that names what does not fit."""
     settings = remove_version(data, source) if isinstance(data, dict) else data
     return build_value(settings, Experiment, source, "")
 
@@ -51,8 +49,9 @@ def add_version(settings: Json) -> Json:
 
 def remove_version(stored: Json, source: object) -> Json:
     """Return `stored` without its version. Raises UserError if this version does not read it."""
-    version = stored.get(VERSION, __version__)
-    if _get_minor(version) != _get_minor(__version__):
+    version = str(stored.get(VERSION, __version__))
+    # versions that share major and minor number read each other's files
+    if version.split(".")[:2] != __version__.split(".")[:2]:
         raise UserError(
             f"{source} was written by jaxunshear {version}, and this is {__version__}: "
             "use that version, or make it again in another folder"
@@ -60,25 +59,13 @@ def remove_version(stored: Json, source: object) -> Json:
     return {name: value for name, value in stored.items() if name != VERSION}
 
 
-def _get_minor(version: object) -> list[str]:
-    """Return major and minor version; versions that share them read each other's files."""
-    return str(version).split(".")[:2]
-
-
 def build_value(data: object, kind: Hint, source: str, name: str) -> Any:
-    """Make a value of type `kind` from JSON. Raises UserError.
-
-    Args:
-        source: the file, for messages.
-        name: where in `source` the value stands.
-    """
+    """Make a value of type `kind` from JSON at `name` in the file `source`. Raises UserError."""
     item_kind = typing.get_args(kind)[0] if get_origin(kind) is tuple else None
     if list_groups(item_kind) and isinstance(data, list):
-        return tuple(
-            item if isinstance(item, str) else build_value(item, item_kind, source, name)
-            for item in data
-        )
-    if kinds := list_groups(kind):
+        return tuple(build_value(item, item_kind, source, name) for item in data)
+    kinds = list_groups(kind)
+    if kinds and not (isinstance(data, str) and list_choices(kind)):
         return _build_group(data, kinds, source, name)
     value = _convert_to_tuples(data)
     if not is_of_type(value, kind):
@@ -92,25 +79,18 @@ def _build_group(data: object, kinds: list[type], source: str, name: str) -> Any
     if not isinstance(data, dict):
         raise UserError(f"{problem}{name or 'its top level'} is no group; run it again")
     prefix = f"{name}." if name else ""
-    kind = min(kinds, key=lambda each: len(_list_misfits(data, list_hints(each), prefix)))
-    fields = list_hints(kind)
-    if misfits := _list_misfits(data, fields, prefix):
+    kind = min(kinds, key=lambda each: len(data.keys() ^ list_hints(each).keys()))
+    hints = list_hints(kind)
+    unknown, missing = sorted(data.keys() - hints.keys()), sorted(hints.keys() - data.keys())
+    misfits = [f"{prefix}{field} = {data[field]!r} is no setting" for field in unknown]
+    misfits += [f"{prefix}{field} is missing" for field in missing]
+    if misfits:
         raise UserError(f"{problem}{', '.join(misfits)}; {OLD_FILES}: run it again")
-    parts = {
+    values = {
         field: build_value(data[field], hint, source, f"{prefix}{field}")
-        for field, hint in fields.items()
+        for field, hint in hints.items()
     }
-    return kind(**parts)
-
-
-def _list_misfits(data: Json, fields: dict[str, Hint], prefix: str) -> list[str]:
-    """List what is in the data but no field, and the fields that the data lack."""
-    unknown = sorted(data.keys() - fields.keys())
-    missing = sorted(fields.keys() - data.keys())
-    return [
-        *(f"{prefix}{field} = {data[field]!r} is no setting" for field in unknown),
-        *(f"{prefix}{field} is missing" for field in missing),
-    ]
+    return kind(**values)
 
 
 def _convert_to_tuples(data: object) -> object:
@@ -160,19 +140,13 @@ def read_preset(file: Path) -> Preset:
 
 
 def apply_preset(experiment: Experiment, file: Path) -> Experiment:
-    """Set the sensor, camera and friction that are in `file`; frames keep their number of pixels.
-
-    Raises UserError.
-    """
-    paired = experiment.paired.get_simulated("--sensor-from")
-    pose = cast(PoseData, experiment.pose)
+    """Set the sensor, camera and friction in `file`; frames keep their pixels. Raises UserError."""
+    experiment.paired.get_simulated("--sensor-from")
     preset = read_preset(file)
-    camera = replace(preset.camera, frame_px=paired.camera.frame_px)
-    return replace(
-        experiment,
-        sensor=preset.sensor,
-        paired=replace(paired, camera=camera, friction=preset.friction),
-        pose=replace(
-            pose, camera=replace(camera, frame_px=pose.camera.frame_px), friction=preset.friction
-        ),
-    )
+    changed = replace(experiment, sensor=preset.sensor)
+    for name in ("paired", "pose"):
+        frame_px = get_value(experiment, f"{name}.camera.frame_px")
+        camera = replace(preset.camera, frame_px=frame_px)
+        changed = replace_value(changed, f"{name}.camera", camera)
+        changed = replace_value(changed, f"{name}.friction", preset.friction)
+    return changed

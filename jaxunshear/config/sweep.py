@@ -108,26 +108,20 @@ def get_base(sweep: Sweep) -> Experiment:
 
 
 def list_fields(fields: Fields) -> tuple[str, ...]:
-    """List the fields that an axis or a change sets."""
     return (fields,) if isinstance(fields, str) else fields
 
 
 def list_varied_fields(sweep: Sweep) -> list[str]:
-    """List the fields that the axes of the grid vary."""
     return [field for fields, _ in sweep.grid for field in list_fields(fields)]
 
 
 def list_changed_fields(sweep: Sweep) -> list[str]:
-    """List the fields that rows change."""
     changes = [change for row in sweep.rows for change in row]
     return [field for fields, _ in changes for field in list_fields(fields)]
 
 
 def check_sweep(sweep: Sweep, source: str) -> None:
-    """Raise UserError, naming the file `source` and the field, if no rows can be made of a sweep.
-
-    The values of the rows are not checked here.
-    """
+    """Raise UserError, naming `source` and field, for a bad sweep; rows are checked later."""
     _check_form(sweep, source)
     validate(dataclasses.replace(get_base(sweep), name=sweep.name))
     for field in (*list_varied_fields(sweep), *list_changed_fields(sweep)):
@@ -144,45 +138,39 @@ def _find_type_problems(sweep: Sweep) -> Iterator[Problem]:
     hints = list_hints(Sweep)
     for field, remedy in FORMS.items():
         if not is_of_type(getattr(sweep, field), hints[field]):
-            yield Problem(field, remedy)
+            yield field, remedy
     if not all(sweep.labels):
-        yield Problem("labels", FORMS["labels"])
+        yield "labels", FORMS["labels"]
     if not sweep.seeds or not all(0 <= seed <= MAX_SEED for seed in sweep.seeds):
-        yield Problem("seeds", FORMS["seeds"])
+        yield "seeds", FORMS["seeds"]
 
 
 def _find_axis_problems(sweep: Sweep) -> Iterator[Problem]:
-    changes = []
     for fields, values in sweep.grid:
         if not values:
-            yield Problem("grid", f"lists no values for {fields}: give a tuple of some")
-        changes += [("grid", fields, value) for value in values]
-    for row in sweep.rows:
-        changes += [("rows", fields, value) for fields, value in row]
+            yield "grid", f"lists no values for {fields}: give a tuple of some"
+    changes = [("grid", fields, value) for fields, values in sweep.grid for value in values]
+    changes += [("rows", fields, value) for row in sweep.rows for fields, value in row]
     for place, fields, value in changes:
         if not fields:
-            yield Problem(place, FORMS[place])
+            yield place, FORMS[place]
         has_each = isinstance(value, tuple) and len(value) == len(fields)
         if not (isinstance(fields, str) or has_each):
-            yield Problem(place, f"needs tuples of a value each for {fields}")
+            yield place, f"needs tuples of a value each for {fields}"
+        for field in list_fields(fields):
+            if field == "seed":
+                yield place, "varies seed: list the seeds in sweep.seeds, or with --seeds"
+            if field in ("name", "claim"):
+                yield place, f"varies {field}, which decides nothing"
 
 
 def _find_doubles(sweep: Sweep) -> Iterator[Problem]:
-    """Find what is listed twice, and fields that no axis or row may change."""
     varied = list_varied_fields(sweep)
-    repeated = next((field for field in varied if varied.count(field) > 1), None)
-    if repeated is not None:
-        yield Problem("grid", f"varies {repeated} on two axes")
-    for place, fields in (("grid", varied), ("rows", list_changed_fields(sweep))):
-        if "seed" in fields:
-            remedy = "list the seeds in sweep.seeds, or with --seeds"
-            yield Problem(place, f"varies seed: {remedy}")
-        for field in ("name", "claim"):
-            if field in fields:
-                yield Problem(place, f"varies {field}, which decides nothing")
+    if repeated := [field for field in varied if varied.count(field) > 1]:
+        yield "grid", f"varies {repeated[0]} on two axes"
     if len(sweep.labels) not in (0, len(sweep.rows)):
-        yield Problem("labels", f"needs one for each of the {len(sweep.rows)} rows, or none")
+        yield "labels", f"needs one for each of the {len(sweep.rows)} rows, or none"
     if len(set(sweep.labels)) < len(sweep.labels):
-        yield Problem("labels", "lists one twice")
+        yield "labels", "lists one twice"
     if len(set(sweep.seeds)) < len(sweep.seeds):
-        yield Problem("seeds", "(or --seeds) lists a seed twice")
+        yield "seeds", "(or --seeds) lists a seed twice"

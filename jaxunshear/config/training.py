@@ -72,15 +72,15 @@ class Training:
 
     def find_problems(self) -> Iterator[Problem]:
         if self.drops and self.schedule != "steps":
-            yield Problem("drops", "have no effect with this schedule: use schedule 'steps'")
+            yield "drops", "have no effect with this schedule: use schedule 'steps'"
         epochs = [epoch for epoch, _ in self.drops]
         if epochs != sorted(set(epochs)):
-            yield Problem("drops", "must be in the order of their epochs")
+            yield "drops", "must be in the order of their epochs"
         if not self.losses:
-            yield Problem("losses", "name at least one, as supervised:1")
+            yield "losses", "name at least one, as supervised:1"
         for name, weight in self.losses.items():
             if not weight > 0:
-                yield Problem(f"losses.{name}", "must not be below zero; 0 leaves the loss out")
+                yield f"losses.{name}", "must not be below zero; 0 leaves the loss out"
 
 
 POSENET_TRAINING = Training(losses={"pose": 1.0})

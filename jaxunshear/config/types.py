@@ -1,7 +1,4 @@
-"""What settings are made of: frozen dataclasses with typed fields, which find their own problems.
-
-Imports nothing of this package but errors.
-"""
+"""What settings are made of: frozen dataclasses of typed fields, which find their own problems."""
 
 import dataclasses
 import functools
@@ -16,13 +13,10 @@ from jaxunshear.errors import UserError
 
 Hint = Any  # a type as annotations write it
 Value = Any  # of a field, or of each of several
-
-
-class Problem(NamedTuple):
-    """A value that cannot work. What finds it may rely on there being no problem before it."""
-
-    field: str  # which the message names
-    remedy: str  # what is wrong with its value, and what to do instead
+get_origin: Callable[[Hint], object] = typing.get_origin  # mypy mistypes typing's own
+# The field that a message names, and what is wrong with its value and what to do instead. What
+# finds a problem may rely on there being none before it.
+Problem = tuple[str, str]
 
 
 class Bound(NamedTuple):
@@ -48,29 +42,40 @@ Fraction = Annotated[float, Bound(lambda value: 0 <= value < 1, "use 0 up to, bu
 Counts = Annotated[
     tuple[int, ...], Bound(lambda each: all(n >= 1 for n in each), "list positive numbers")
 ]
+WEIGHTS = Mapping[str, float]  # the type of fields that hold weights by name
+DESCRIPTIONS: dict[Hint, str] = {  # of what a field of a type takes
+    int: "an integer",
+    float: "a number",
+    bool: "true or false",
+    str: "text",
+    tuple[int, ...]: "integers separated by commas",
+    tuple[float, ...]: "numbers separated by commas",
+    tuple[str, ...]: "names separated by commas",
+    tuple[tuple[float, float], ...]: "pairs a:b separated by commas",
+    WEIGHTS: "pairs name:weight separated by commas",
+}
 
 
 def find_problems(settings: object, group: str = "") -> Iterator[Problem]:
     """Find problems of `settings` and of the groups in it: by its types and its `find_problems`."""
     kind: type = type(settings)
-    hints = list_hints(kind)
-    values = {field: getattr(settings, field) for field in hints}
-    for field, hint in hints.items():
-        choices, value = list_choices(hint), values[field]
+    values = {}
+    for field, hint in list_hints(kind, include_extras=True).items():
+        choices, value = list_choices(hint), getattr(settings, field)
+        values[field] = value
         items = value if isinstance(value, tuple) else (value,)
         unknown = ", ".join(item for item in items if isinstance(item, str) and item not in choices)
         if choices and unknown:
             subject = f"{unknown} is" if isinstance(value, tuple) else "is"
-            remedy = f"{subject} unknown: use one of {', '.join(choices)}"
-            yield Problem(f"{group}{field}", remedy)
-        for bound in list_bounds(kind).get(field, ()):
-            if not bound.holds(value):
-                yield Problem(f"{group}{field}", bound.remedy)
+            yield f"{group}{field}", f"{subject} unknown: use one of {', '.join(choices)}"
+        for bound in getattr(hint, "__metadata__", ()):
+            if isinstance(bound, Bound) and not bound.holds(value):
+                yield f"{group}{field}", bound.remedy
     for field, remedy in settings.find_problems() if hasattr(settings, "find_problems") else ():
-        yield Problem(f"{group}{field}", remedy)
-    for field in hints:
-        if dataclasses.is_dataclass(values[field]):
-            yield from find_problems(values[field], f"{group}{field}.")
+        yield f"{group}{field}", remedy
+    for field, value in values.items():
+        if dataclasses.is_dataclass(value):
+            yield from find_problems(value, f"{group}{field}.")
 
 
 def raise_first_problem(settings: object, what: str) -> None:
@@ -87,31 +92,26 @@ def get_value(settings: Value, name: str) -> Value:
     return settings
 
 
-def get_origin(kind: Hint) -> object:
-    """Return `tuple` for `tuple[int, ...]`, None for a plain type; mypy mistypes typing's own."""
-    return typing.get_origin(kind)
-
-
-def is_weights(kind: Hint) -> bool:
-    """Return whether a field holds weights by name."""
-    return get_origin(kind) is Mapping
+def replace_value(settings: Any, name: str, value: Value) -> Any:
+    """Replace the field of this dotted name. Raises UserError if these settings lack it."""
+    first, _, rest = name.partition(".")
+    if isinstance(settings, Mapping):
+        return {**settings, name: value}
+    if not hasattr(settings, first):
+        raise UserError(
+            f"this experiment has no field {first} there: "
+            f"its {type(settings).__name__} has other fields"
+        )
+    if rest:
+        value = replace_value(getattr(settings, first), rest, value)
+    return dataclasses.replace(settings, **{first: value})
 
 
 @functools.cache
-def list_hints(kind: type) -> dict[str, Hint]:
+def list_hints(kind: type, include_extras: bool = False) -> dict[str, Hint]:
     """Return the fields of a group of settings and their types."""
-    hints = typing.get_type_hints(kind)
+    hints = typing.get_type_hints(kind, include_extras=include_extras)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
-
-
-@functools.cache
-def list_bounds(kind: type) -> dict[str, list[Bound]]:
-    """Return the bounds in the types of the fields of a group of settings."""
-    bounds: dict[str, list[Bound]] = {}
-    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
-        metadata = getattr(hint, "__metadata__", ())
-        bounds[name] = [each for each in metadata if isinstance(each, Bound)]
-    return bounds
 
 
 def list_groups(kind: Hint) -> list[type]:
@@ -124,14 +124,6 @@ def list_groups(kind: Hint) -> list[type]:
         elif dataclasses.is_dataclass(each):
             groups.append(typing.cast(type, each))
     return groups
-
-
-def get_optional(kind: Hint) -> Hint:
-    """Return the X of `X | None`, else None."""
-    if _is_union(kind) and not list_groups(kind):
-        (inner,) = [arg for arg in typing.get_args(kind) if arg is not types.NoneType]
-        return inner
-    return None
 
 
 def list_choices(kind: Hint) -> tuple[str, ...]:
@@ -148,51 +140,38 @@ def _is_union(kind: Hint) -> bool:
 
 
 def describe_hint(kind: Hint) -> str:
-    """Describe in words what a field takes."""
-    if get_optional(kind) is not None:
-        return f"{describe_hint(get_optional(kind))}, or none"
+    kinds = typing.get_args(kind)
+    if kind in DESCRIPTIONS:
+        return DESCRIPTIONS[kind]
+    if types.NoneType in kinds:
+        return f"{describe_hint(kinds[0])}, or none"
     if get_origin(kind) is tuple:
-        return _describe_tuple(kind)
-    if is_weights(kind):
-        return "pairs name:weight separated by commas"
-    if choices := list_choices(kind):
-        return f"one of {', '.join(choices)}"
+        items = "names, or files of outlines," if list_groups(kinds[0]) else "values"
+        return f"{items} separated by commas" if kinds[-1] is ... else "values joined by ':'"
     if dataclasses.is_dataclass(kind):
         return f"a {typing.cast(type, kind).__name__.lower()}'s name"
-    return {int: "an integer", float: "a number", bool: "true or false", str: "text"}[kind]
-
-
-def _describe_tuple(kind: Hint) -> str:
-    item, *more = typing.get_args(kind)
-    if more[-1:] != [...]:
-        return "numbers joined by ':'"
-    if list_groups(item):
-        return "names, or files of outlines, separated by commas"
-    if list_choices(item):
-        return "names separated by commas"
-    plurals = {int: "integers", float: "numbers", str: "names"}
-    return f"{plurals.get(item, 'pairs a:b')} separated by commas"
+    return f"one of {', '.join(list_choices(kind))}"
 
 
 def is_of_type(value: Any, kind: Hint) -> bool:
     """Return whether a value is of a field's type; any text passes for one of its names."""
+    kinds = typing.get_args(kind)
     if kind is Value:
         return True
-    if _is_union(kind) and not list_groups(kind):
-        return any(is_of_type(value, each) for each in typing.get_args(kind))
+    if _is_union(kind):
+        return any(is_of_type(value, each) for each in kinds)
     if get_origin(kind) is tuple:
-        kinds = typing.get_args(kind)
         if not isinstance(value, tuple):
             return False
         if kinds[-1] is ...:
             return all(is_of_type(item, kinds[0]) for item in value)
         return len(value) == len(kinds) and all(map(is_of_type, value, kinds))
-    if is_weights(kind):
-        return isinstance(value, Mapping) and all(
-            isinstance(name, str) and is_of_type(weight, float) for name, weight in value.items()
+    if kind == WEIGHTS:
+        return isinstance(value, Mapping) and is_of_type(
+            tuple(value.items()), tuple[tuple[str, float], ...]
         )
     if list_choices(kind):
-        return isinstance(value, (str, *list_groups(kind)))
+        return isinstance(value, str)
     if kind is bool or isinstance(value, bool):  # a bool is an int to Python
         return kind is bool and isinstance(value, bool)
     if kind is float:
@@ -200,13 +179,9 @@ def is_of_type(value: Any, kind: Hint) -> bool:
     return isinstance(value, kind)
 
 
-def check_types(settings: object) -> None:
-    """Refuse, by dotted name, values of a wrong type; NaN and infinity count as wrong."""
-    _check(settings, type(settings), "")
-
-
-def _check(value: object, kind: Hint, name: str) -> None:
-    if kinds := list_groups(kind):
+def check_types(value: object, kind: Hint = None, name: str = "") -> None:
+    """Refuse, by dotted name, settings of a wrong type; NaN and infinity count as wrong."""
+    if kinds := list_groups(kind or type(value)):
         group = next((each for each in kinds if isinstance(value, each)), None)
         if group is None:
             expected = " or ".join(each.__name__ for each in kinds)
@@ -214,11 +189,11 @@ def _check(value: object, kind: Hint, name: str) -> None:
                 f"{name or 'experiment'} is of type {type(value).__name__}, not {expected}"
             )
         for field, hint in list_hints(group).items():
-            _check(getattr(value, field), hint, f"{name}.{field}".lstrip("."))
+            check_types(getattr(value, field), hint, f"{name}.{field}".lstrip("."))
     elif isinstance(value, float) and not math.isfinite(value):
         raise UserError(f"--{name} must be a finite number, not {value}")
-    elif isinstance(value, Mapping) and is_weights(kind):
+    elif isinstance(value, Mapping) and kind == WEIGHTS:
         for part, weight in value.items():
-            _check(weight, float, f"{name}.{part}")
+            check_types(weight, float, f"{name}.{part}")
     elif not is_of_type(value, kind):
         raise UserError(f"--{name} takes {describe_hint(kind)}, not {value!r}")

@@ -32,13 +32,6 @@ class TrajectoryScore:
     perceive_ms: float  # per step
 
 
-@dataclass(frozen=True)
-class TrajectoryScores:
-    """The content of servo.json."""
-
-    rows: Sequence[TrajectoryScore]
-
-
 @dataclass(frozen=True, kw_only=True)
 class PinScore:
     """The pins of one image."""
@@ -86,10 +79,10 @@ class ObjectScore:
 
 
 @dataclass(frozen=True)
-class ObjectScores:
-    """The content of reconstruct.json."""
+class ScoreTable:
+    """The content of servo.json, or of reconstruct.json."""
 
-    rows: Sequence[ObjectScore]
+    rows: Sequence[TrajectoryScore] | Sequence[ObjectScore]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,11 +118,7 @@ class GeometryScores:
 
 @dataclass(frozen=True, kw_only=True)
 class StreamResult:
-    """The content of stream.json.
-
-    Milliseconds are percentiles over the frames that were used: from arrival to output, and of the
-    networks alone.
-    """
+    """The content of stream.json."""
 
     frames: int  # used, skipped and dropped
     used: int
@@ -140,5 +129,5 @@ class StreamResult:
     frames_per_s: float
     confidence: float | None  # mean
     pose_mae: Mapping[str, float]  # by quantity, if there are labels
-    latency_ms: Mapping[str, float] | None  # p50, p95, p99
-    networks_ms: Mapping[str, float] | None
+    latency_ms: Mapping[str, float] | None  # p50, p95, p99 from arrival to output, of used frames
+    networks_ms: Mapping[str, float] | None  # likewise, of the networks alone

@@ -21,10 +21,7 @@ PACKAGES = (
 
 
 def describe_provenance(command: str, *more: str) -> Json:
-    """Return the fields that every result has: command, code, machine and versions.
-
-    The versions include those of the packages `more`.
-    """
+    """Return what all results have: command, code, machine, versions with those of `more`."""
     return {
         "command": command,
         "source": read_source(),

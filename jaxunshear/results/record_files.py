@@ -24,18 +24,12 @@ def write_record(path: Path, record: object) -> None:
 
 
 def read_record(path: Path, kind: type[Record], remedy: str) -> Record:
-    """Read the record of type `kind` in `path`.
-
-    Raises UserError, which ends with `remedy`: how the file is made again.
-    """
+    """Read the record of type `kind` in `path`. Raises UserError, which ends with `remedy`."""
     return convert_record(read_json(path), kind, path, remedy)
 
 
 def convert_record(content: object, kind: type[Record], source: object, remedy: str) -> Record:
-    """Convert JSON `content` from `source` to a record; fields of later versions are ignored.
-
-    Raises UserError, which ends with `remedy`.
-    """
+    """Convert JSON to a record; fields of later versions are ignored. Raises as `read_record`."""
     schema = content.get("schema", SCHEMA) if isinstance(content, dict) else SCHEMA
     if schema != SCHEMA:
         raise UserError(

@@ -55,8 +55,6 @@ class Poses:
 
 @dataclass(frozen=True, kw_only=True)
 class PartPoses(Poses):
-    """Scores of poses for a part of the contacts."""
-
     spread: PoseSpread
 
 
@@ -124,8 +122,6 @@ class Counts:
 
 @dataclass(frozen=True)
 class Recordings:
-    """The recordings of a run."""
-
     tap_folder: str
     slide_folder: str
     digest: str
@@ -144,12 +140,10 @@ class Recordings:
 
 @dataclass(frozen=True)
 class Pairing:
-    """The pairing of slides.
-
-    `gaps` are by split: the distances of partners' poses by target, and the number of `pairs`.
-    """
+    """The pairing of slides."""
 
     way: str
+    # by split: distances of partners' poses by target, and the number of `pairs`
     gaps: Mapping[str, Mapping[str, Scores | int]]
 
 

@@ -62,8 +62,6 @@ class GridAxis:
 
 @dataclass(frozen=True)
 class Failure:
-    """A failed row of a cell."""
-
     seed: int
     reason: str | None
 

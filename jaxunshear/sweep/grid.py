@@ -18,7 +18,6 @@ from jaxunshear.config.networks import DISENTANGLED, list_networks
 from jaxunshear.config.rules import validate
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import (
-    Axis,
     Change,
     Fields,
     Sweep,
@@ -101,10 +100,7 @@ def list_rows(sweep: Sweep, cells: list[Cell]) -> dict[tuple[str, int], Row]:
 
 
 def compute_row_digest(experiment: Experiment, ablation: bool) -> str:
-    """Compute eight hexadecimal digits of all that decides a row's numbers.
-
-    Names, claims and the order of the networks do not.
-    """
+    """Compute the digest of what decides a row's numbers; names and claims do not."""
     networks = tuple(sorted(experiment.networks))
     anonymous = dataclasses.replace(experiment, name="", claim="", networks=networks)
     version = experiment.paired.version
@@ -113,7 +109,6 @@ def compute_row_digest(experiment: Experiment, ablation: bool) -> str:
 
 
 def format_training_name(config: NetworkConfig) -> str:
-    """Format the name by which rows share the training of a network."""
     return f"{config.name}_seed-{config.seed}-{config.digest}"
 
 
@@ -139,17 +134,8 @@ def find_reference(sweep: Sweep, cells: list[Cell]) -> str | None:
     return None
 
 
-def list_axis_values(axis: Axis) -> tuple[str, ...]:
-    """List the printed values along an axis, each once."""
-    fields, values = axis
-    return tuple(dict.fromkeys(format_value_label(fields, value) for value in values))
-
-
 def format_field_name(fields: Fields, sweep: Sweep) -> str:
-    """Format `patch_weight`, or `pose_channels:shear_channels`.
-
-    The name is dotted if the sweep varies two fields of that name.
-    """
+    """Format `batch`, `train.batch` if a sweep varies another batch, or `batch:epochs`."""
     varied = {*list_varied_fields(sweep), *list_changed_fields(sweep)}
     shorts = [name.rpartition(".")[2] for name in varied]
     names = [(name, name.rpartition(".")[2]) for name in list_fields(fields)]

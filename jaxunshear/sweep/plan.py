@@ -7,11 +7,11 @@ FOLDER/data/                       the making of the data sets, which lie elsewh
 Imports no JAX.
 """
 
+import itertools
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.load import list_registering_files
@@ -84,7 +84,6 @@ def make_data_task(folder: Path, rows: list[Row], data: Path) -> Task:
 
 
 def _list_files() -> list[str]:
-    """List the experiment files that have registered something; processes of a sweep run them."""
     return sorted({*list_registering_files(), *list_source_files()})
 
 
@@ -93,107 +92,78 @@ def plan_tasks(
 ) -> list[Task]:
     """Plan the unfinished `rows`, after the trainings that they share; writes each task.json."""
     order = TaskOrder(kind="", data=str(data), command=command, files=_list_files())
-    trainings = SharedTrainings(folder, rows, order)
+    finished = _find_finished_trainings(folder)
+    missing = [_list_missing_trainings(folder, row) for row in rows]
+    users = Counter(format_training_name(config) for config in itertools.chain(*missing))
+    shared: dict[str, Task] = {}  # trainings by name
     tasks = []
-    for row in rows:
-        inputs = trainings.request(row)
-        task = Task(folder / "rows" / row.experiment.name, "row", tuple(inputs.awaited.values()))
+    for row, configs in zip(rows, missing, strict=True):
+        # by network: the folder of the training that the row copies, and of the task that makes it
+        sources: dict[str, str] = {}
+        awaited: dict[str, Path] = {}
+        for config in configs:
+            name = format_training_name(config)
+            if name in finished:
+                sources[config.name] = finished[name]
+            elif users[name] > 1:
+                needs = (awaited.get(helper) for helper in list_required_networks(config))
+                task = Task(folder / "shared" / name, "training", tuple(filter(None, needs)))
+                if name not in shared and _can_start(task):
+                    shared[name] = task
+                    _order_training(task, order, row, config, sources | finished)
+                sources[config.name] = str(task.folder / config.name)
+                if name in shared:  # else the row fails with the reason of this training
+                    awaited[config.name] = task.folder
+        task = Task(folder / "rows" / row.experiment.name, "row", tuple(awaited.values()))
         row_order = replace(
             order,
             kind=task.kind,
             experiment=to_json(row.experiment),
             networks=list_trained_networks(row.experiment),
-            sources=inputs.sources,
+            sources=sources,
             ablation=ablation,
             label=row.label,
             seed=row.experiment.seed,
         )
         write_record(task.folder / TASK, row_order)
         tasks.append(task)
-    return [*trainings.tasks.values(), *tasks]
+    return [*shared.values(), *tasks]
 
 
-class RowInputs(NamedTuple):
-    """The trainings that a row copies, by network."""
-
-    sources: dict[str, str]  # their folders
-    awaited: dict[str, Path]  # the folders of the tasks that make them, if they are not finished
-
-
-class SharedTrainings:
-    """The tasks of trainings that several rows share, made as rows request them."""
-
-    def __init__(self, folder: Path, rows: list[Row], order: TaskOrder) -> None:
-        self.folder, self.order = folder, order
-        self.tasks: dict[str, Task] = {}  # by the name of the training
-        self._finished = _find_finished_trainings(folder)
-        # of each row: the trainings that it has yet to do
-        self._configs = {row.digest: _list_missing_trainings(folder, row) for row in rows}
-        self._users = Counter(
-            format_training_name(config)
-            for configs in self._configs.values()
-            for config in configs.values()
-        )
-
-    def request(self, row: Row) -> RowInputs:
-        """Return the trainings that `row` copies; it does the others itself."""
-        inputs = RowInputs({}, {})
-        for network, config in self._configs[row.digest].items():
-            name = format_training_name(config)
-            if name in self._finished:
-                inputs.sources[network] = str(self._finished[name])
-            elif self._users[name] > 1:
-                self._request_task(row, config, inputs)
-        return inputs
-
-    def _request_task(self, row: Row, config: NetworkConfig, inputs: RowInputs) -> None:
-        name, networks = format_training_name(config), list_required_networks(config)
-        helpers = networks[:-1]
-        needs = tuple(inputs.awaited[helper] for helper in helpers if helper in inputs.awaited)
-        task = Task(self.folder / "shared" / name, "training", needs)
-        inputs.sources[config.name] = str(task.folder / config.name)
-        outcome = read_outcome(task.folder, task.kind)
-        if outcome and outcome.status != "done":
-            return  # the row fails with the reason of this training
-        # an outcome without a finished training: its folder was deleted since
-        get_outcome_file(task.folder, task.kind).unlink(missing_ok=True)
-        inputs.awaited[config.name] = task.folder
-        if name in self.tasks:
-            return
-        self.tasks[name] = task
-        experiment: Settings = to_json(replace(row.experiment, name=name))
-        if (task.folder / TASK).exists():  # a stopped sweep began it, maybe for another row
-            experiment = read_order(task.folder).experiment or experiment
-        sources = {}
-        for helper in helpers:
-            helper_name = format_training_name(resolve_network(row.experiment, helper))
-            if source := self._finished.get(helper_name, inputs.sources.get(helper)):
-                sources[helper] = str(source)
-        order = replace(
-            self.order,
-            kind=task.kind,
-            experiment=experiment,
-            networks=networks,
-            sources=sources,
-        )
-        write_record(task.folder / TASK, order)
+def _can_start(task: Task) -> bool:
+    """Return whether a training has not failed; an outcome without its folder is removed."""
+    outcome = read_outcome(task.folder, task.kind)
+    if outcome and outcome.status != "done":
+        return False
+    get_outcome_file(task.folder, task.kind).unlink(missing_ok=True)
+    return True
 
 
-def _list_missing_trainings(folder: Path, row: Row) -> dict[str, NetworkConfig]:
+def _order_training(
+    task: Task, order: TaskOrder, row: Row, config: NetworkConfig, sources: Mapping[str, str]
+) -> None:
+    """Write the task.json of a training; `sources` are folders by network, or by name."""
+    experiment: Settings = to_json(replace(row.experiment, name=task.folder.name))
+    if (task.folder / TASK).exists():  # a stopped sweep began it, maybe for another row
+        experiment = read_order(task.folder).experiment or experiment
+    networks, copied = list_required_networks(config), {}
+    for helper in networks[:-1]:
+        name = format_training_name(resolve_network(row.experiment, helper))
+        if source := sources.get(name, sources.get(helper)):
+            copied[helper] = source
+    order = replace(order, kind=task.kind, experiment=experiment, networks=networks, sources=copied)
+    write_record(task.folder / TASK, order)
+
+
+def _list_missing_trainings(folder: Path, row: Row) -> list[NetworkConfig]:
     run = folder / "rows" / row.experiment.name
-    return {
-        config.name: config
-        for config in resolve_trained_networks(row.experiment)
-        if not (run / config.name / FINISHED).exists()
-    }
+    configs = resolve_trained_networks(row.experiment)
+    return [config for config in configs if not (run / config.name / FINISHED).exists()]
 
 
-def _find_finished_trainings(folder: Path) -> dict[str, Path]:
-    """Find all finished trainings in a sweep's folder, by their names.
-
-    Trainings that are damaged, or of an earlier version, are left out and trained again.
-    """
-    trainings: dict[str, Path] = {}
+def _find_finished_trainings(folder: Path) -> dict[str, str]:
+    """Find the finished and sound trainings of this version in a folder, by their names."""
+    trainings: dict[str, str] = {}
     for path in sorted([*(folder / "shared").glob("*/"), *(folder / "rows").glob("*/")]):
         networks = [network for network in TRAINABLE if (path / network / FINISHED).exists()]
         if not networks:
@@ -208,5 +178,5 @@ def _find_finished_trainings(folder: Path) -> dict[str, Path]:
             except UserError:
                 continue
             name = format_training_name(resolve_network(experiment, network))
-            trainings.setdefault(name, path / network)
+            trainings.setdefault(name, str(path / network))
     return trainings

@@ -1,19 +1,14 @@
-"""A full sweep: data sets, rows and summary.
+"""A full sweep: data sets, rows and summary. The same command continues where a sweep stopped."""
 
-The same command continues where a sweep stopped. Its engine runs the tasks, on this machine or on a
-Ray cluster.
-"""
-
-import functools
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from jaxunshear.cluster import Call, CallRunner, WorkerDied, make_ray_runner, run_locally
+from jaxunshear.cluster import Call, CallRunner, WorkerDied, run_locally
 from jaxunshear.config.network_config import list_trained_networks
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.errors import UserError
@@ -26,38 +21,10 @@ from jaxunshear.sweep import plan
 from jaxunshear.sweep.grid import Row, find_reference, list_cells, list_rows
 from jaxunshear.sweep.scores import RowScores, read_tests
 from jaxunshear.sweep.summary import summarise
-from jaxunshear.sweep.tasks import LOCK, WORKER, Task, read_outcome, run_task, write_failure
+from jaxunshear.sweep.tasks import LOCK, WORKER, read_outcome, run_task, write_failure
 from jaxunshear.training.provenance import start_folder
 
-Engine = Callable[[Sequence[Task], Sequence[str]], Iterator[Task]]  # yields tasks as they end
 Item = TypeVar("Item")
-
-
-def run_serially(tasks: Sequence[Task], worker: Sequence[str]) -> Iterator[Task]:
-    """Run one task at a time, in their order; a task comes after those that it needs."""
-    return _run_tasks(run_locally, tasks, worker)
-
-
-def make_ray_engine(address: str | None, cores: int) -> Engine:
-    """Make an engine that runs all tasks at once on a cluster, see `make_ray_runner`.
-
-    Its machines need the folders under the same paths. A task whose worker dies goes on from its
-    checkpoint. Raises `UserError` if Ray or the cluster is missing.
-    """
-    return functools.partial(_run_tasks, make_ray_runner(address, cores))
-
-
-def _run_tasks(run: CallRunner, tasks: Sequence[Task], worker: Sequence[str]) -> Iterator[Task]:
-    by_folder = {task.folder: task for task in tasks}
-    calls = (
-        Call(task.folder, run_task, (task.folder, task.kind, tuple(worker)), task.needs)
-        for task in tasks
-    )
-    for folder, result in run(calls):
-        task = by_folder[folder]
-        if isinstance(result, WorkerDied):
-            write_failure(task.folder, task.kind, result.reason)
-        yield task
 
 
 def run_sweep(
@@ -65,14 +32,16 @@ def run_sweep(
     out: Path,
     data: Path,
     command: str,
-    engine: Engine = run_serially,
+    run_calls: CallRunner = run_locally,
     retry_failed: bool = False,
     worker: Sequence[str] = WORKER,
 ) -> SweepResult:
     """Run the rows of a checked `sweep` that have no outcome; write out/<name>/sweep.json.
 
-    Returns the summary. Raises `UserError` if a cell cannot be run (before any work), the data
-    sets cannot be made, or another sweep uses the folder.
+    `run_calls` runs the tasks, on this machine or on a cluster whose machines have the folders
+    under the same paths; a task whose worker dies goes on from its checkpoint. Raises `UserError`
+    if a cell cannot be run (before any work), the data sets cannot be made, or another sweep uses
+    the folder.
     """
     cells = list_cells(sweep)
     rows, reference = list_rows(sweep, cells), find_reference(sweep, cells)
@@ -85,7 +54,7 @@ def run_sweep(
         if retry_failed:
             plan.forget_failures(folder, rows.values())
         order = list(rows.values())
-        _run_rows(sweep, folder, order, Path(data).absolute(), command, engine, worker)
+        _run_rows(sweep, folder, order, Path(data).absolute(), command, run_calls, worker)
         folders = {key: plan.find_row_folder(folder, row) for key, row in rows.items()}
         scores = {key: _read_row_scores(path) for key, path in folders.items()}
         for cell in cells:
@@ -108,7 +77,7 @@ def _run_rows(
     rows: list[Row],
     data: Path,
     command: str,
-    engine: Engine,
+    run_calls: CallRunner,
     worker: Sequence[str],
 ) -> None:
     total = len({row.digest for row in rows})
@@ -123,11 +92,18 @@ def _run_rows(
     outcome = read_outcome(task.folder, task.kind)
     if outcome and outcome.status == "failed":
         raise UserError(str(outcome.reason))
-    tasks = plan.plan_tasks(folder, unfinished, sweep.ablation, data, command)
+    planned = plan.plan_tasks(folder, unfinished, sweep.ablation, data, command)
+    tasks = {task.folder: task for task in planned}
+    calls = (
+        Call(task.folder, run_task, (task.folder, task.kind, tuple(worker)), task.needs)
+        for task in planned
+    )
     done = total - len(unfinished)
     with Progress(f"sweep {sweep.name}", total, unit="rows", done=done) as progress:
-        for task in engine(tasks, worker):
-            progress.advance(task.kind == "row")
+        for name, result in run_calls(calls):
+            if isinstance(result, WorkerDied):
+                write_failure(name, tasks[name].kind, result.reason)
+            progress.advance(tasks[name].kind == "row")
 
 
 def _read_row_scores(folder: Path) -> RowScores:
@@ -140,10 +116,7 @@ def _read_row_scores(folder: Path) -> RowScores:
 
 
 def _check_contacts(rows: Mapping[Path, RowScores]) -> None:
-    """Check that the seeds of a cell were tested on the same contacts.
-
-    Raises UserError, since other scores cannot be compared.
-    """
+    """Raise UserError if the seeds of a cell were tested on different contacts."""
     done = [(folder, row) for folder, row in rows.items() if row.tests]
     for (first, row), (second, other) in itertools.pairwise(done):
         for test in row.tests.keys() & other.tests.keys():

@@ -63,18 +63,16 @@ def read_tests(folder: Path, remedy: str) -> dict[str, dict[str, np.ndarray]]:
     return tests
 
 
-def list_score_names(rows: Mapping[int, RowScores]) -> list[tuple[str, str]]:
-    """List the (test, name) of scores that every row has.
-
-    A row that an earlier version evaluated may lack some.
-    """
+def stack_scores(rows: Mapping[int, RowScores]) -> dict[tuple[str, str], np.ndarray]:
+    """Stack the scores that all rows have by (test, name), (seeds, N)."""
     first, *others = [row.tests for row in rows.values()] or [{}]
-    names = []
+    stacks = {}
     for test, scores in first.items():
         for name in scores:
             if "/" in name and all(name in tests.get(test, {}) for tests in others):
-                names.append((test, name))
-    return names
+                by_seed = [row.tests[test][name] for row in rows.values()]
+                stacks[test, name] = np.stack(by_seed).astype(np.float64)
+    return stacks
 
 
 def get_metric_notes(rows: Mapping[int, RowScores]) -> Notes:
@@ -92,11 +90,6 @@ def format_name(test: str, name: str, part: str = "") -> str:
     return f"{prefix}: {name}" if prefix else name
 
 
-def stack_seeds(rows: Mapping[int, RowScores], test: str, name: str) -> np.ndarray:
-    """Stack the scores of all seeds, (seeds, N)."""
-    return np.stack([np.asarray(row.tests[test][name], np.float64) for row in rows.values()])
-
-
 def select_by_shape(rows: Mapping[int, RowScores], test: str) -> dict[str, np.ndarray]:
     """Select the contacts (N,) of a test on each shape; the shapes of recordings are unknown."""
     results = _get_results(rows)
@@ -111,10 +104,7 @@ def select_by_shape(rows: Mapping[int, RowScores], test: str) -> dict[str, np.nd
 
 
 def select_smooth(rows: Mapping[int, RowScores], test: str) -> dict[str, np.ndarray]:
-    """Select the contacts (N,) of a test whose nearest edge has one direction, if any.
-
-    Scores of an earlier version do not say so.
-    """
+    """Select the contacts (N,) whose nearest edge has one direction, if the scores say so."""
     smooth = _get_labels(rows, test).get(SMOOTH)
     return {SMOOTH: smooth.astype(bool)} if smooth is not None and smooth.any() else {}
 
@@ -147,7 +137,6 @@ def number_contact_poses(rows: Mapping[int, RowScores], test: str) -> np.ndarray
 
 
 def _get_labels(rows: Mapping[int, RowScores], test: str) -> Mapping[str, np.ndarray]:
-    """Return the labels of a test's contacts, which all seeds share."""
     return next(iter(rows.values())).tests[test]
 
 

@@ -1,9 +1,8 @@
 """The summary of a sweep: figures of each cell, differences from a reference, and a table."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields as dataclass_fields
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,10 +19,9 @@ from jaxunshear.results.sweep import (
     Failure,
     Figure,
     GridAxis,
-    Outcome,
     SweepResult,
 )
-from jaxunshear.sweep.grid import Cell, format_field_name, list_axis_values, split_change
+from jaxunshear.sweep.grid import Cell, format_field_name, format_value_label, split_change
 from jaxunshear.sweep.scores import (
     RowScores,
     compute_interval,
@@ -31,12 +29,11 @@ from jaxunshear.sweep.scores import (
     format_name,
     get_metric_notes,
     has_same_contacts,
-    list_score_names,
     number_contact_poses,
     resample_means,
     select_by_shape,
     select_smooth,
-    stack_seeds,
+    stack_scores,
 )
 from jaxunshear.text_table import format_text_table
 
@@ -46,14 +43,8 @@ TABLES = ("pin_error", "half_width", "coverage")
 MAIN_METRICS = ("ms_ssim/*", "pose/*/edge_mm", "pose/*/edge_deg", "swap/DS(z_p,z_s)/mse")
 TAP_TEST = "taps"  # the test of recorded taps, which are no pairs of the slides
 Rows = Mapping[int, RowScores]  # of one cell, by seed; none of them failed
-Parts = Mapping[str, np.ndarray]  # contacts (N,) bool by the name of the part
-
-
-class ScoredErrors(NamedTuple):
-    """Errors of one kind of contact in one quantity."""
-
-    values: np.ndarray  # (seeds, N)
-    poses: np.ndarray  # (N,), the pose of each contact
+# contacts (N,) bool by the name of the part
+ALL_CONTACTS: Mapping[str, np.ndarray | slice] = {"": slice(None)}
 
 
 def summarise(
@@ -67,20 +58,19 @@ def summarise(
     `scores` are by (label of the cell, seed), for all of them.
     """
     axes = []
-    for axis in sweep.grid:
-        fields = axis[0]
-        name = format_field_name(fields, sweep)
-        axes.append(GridAxis(name, list_fields(fields), list_axis_values(axis)))
+    for fields, values in sweep.grid:
+        labels = dict.fromkeys(format_value_label(fields, value) for value in values)
+        axes.append(GridAxis(format_field_name(fields, sweep), list_fields(fields), tuple(labels)))
     networks: dict[str, None] = {}
     for cell in cells:
         networks |= dict.fromkeys(cell.experiment.networks)
-    reference_rows = {} if reference is None else _select_done(scores, reference, sweep.seeds)
+    rows: dict[str | None, dict[int, RowScores]] = {}
+    for (label, seed), row in scores.items():
+        rows.setdefault(label, {})[seed] = row
     results = []
     for cell in cells:
-        others = {} if cell.label == reference else reference_rows
-        outcomes = {seed: scores[cell.label, seed].outcome for seed in sweep.seeds}
-        rows = _select_done(scores, cell.label, sweep.seeds)
-        results.append(_summarise_cell(cell, rows, outcomes, others))
+        others = {} if reference in (None, cell.label) else _select_done(rows[reference])
+        results.append(_summarise_cell(cell, rows[cell.label], others))
     summary = SweepResult(
         sweep=sweep.name,
         claim=sweep.claim,
@@ -96,26 +86,17 @@ def summarise(
     return summary if sweep.grid else replace(summary, efficient=list_efficient(summary))
 
 
-def _select_done(
-    scores: Mapping[tuple[str, int], RowScores], label: str, seeds: Sequence[int]
-) -> dict[int, RowScores]:
-    rows = {seed: scores[label, seed] for seed in seeds}
+def _select_done(rows: Rows) -> Rows:
     return {seed: row for seed, row in rows.items() if row.outcome.status == "done"}
 
 
-def _summarise_cell(
-    cell: Cell, rows: Rows, outcomes: Mapping[int, Outcome], reference: Rows
-) -> CellResult:
+def _summarise_cell(cell: Cell, ended: Rows, reference: Rows) -> CellResult:
     settings = {}
     for fields, value in cell.changes:
         for name, part in split_change(fields, value):
             settings[name] = format_value(part)
-    failures = [
-        Failure(seed, outcome.reason)
-        for seed, outcome in outcomes.items()
-        if outcome.status != "done"
-    ]
-    names, costs = [field.name for field in dataclass_fields(Costs)], {}
+    rows, names = _select_done(ended), [field.name for field in dataclass_fields(Costs)]
+    costs = {}
     for seed, row in rows.items():
         costs[str(seed)] = Costs(**{name: getattr(row.outcome, name) for name in names})
     return CellResult(
@@ -127,7 +108,9 @@ def _summarise_cell(
         metrics=compute_metrics(rows),
         difference=compute_differences(rows, reference),
         ablation=summarise_code_swaps(rows),
-        failures=failures,
+        failures=[
+            Failure(seed, row.outcome.reason) for seed, row in ended.items() if seed not in rows
+        ],
         costs=costs,
     )
 
@@ -140,23 +123,17 @@ def compute_metrics(rows: Rows) -> dict[str, Figure]:
     `smooth: pose/<kind>/edge_deg`. Figures of `TABLES` have no interval.
     """
     figures = {}
-    for test, name in list_score_names(rows):
-        values, poses = stack_seeds(rows, test, name), number_contact_poses(rows, test)
-        figures[format_name(test, name)] = _make_figure(rows, values, poses)
-        for part, contacts in _select_parts(rows, test, name).items():
+    for (test, name), values in stack_scores(rows).items():
+        poses, parts = number_contact_poses(rows, test), dict(ALL_CONTACTS)
+        if name.startswith("ms_ssim/"):
+            parts |= select_by_shape(rows, test)
+        elif name.startswith("pose/") and name.endswith("/edge_deg"):
+            parts |= select_smooth(rows, test)
+        for part, contacts in parts.items():
             figure = _make_figure(rows, values[:, contacts], poses[contacts])
             figures[format_name(test, name, part)] = figure
     figures |= _compute_recoveries(rows)
     return figures | _average_over_seeds({seed: _list_table(row) for seed, row in rows.items()})
-
-
-def _select_parts(rows: Rows, test: str, name: str) -> Parts:
-    """Select the parts of a test for which the metric `name` is also computed."""
-    if name.startswith("ms_ssim/"):
-        return select_by_shape(rows, test)
-    if name.startswith("pose/") and name.endswith("/edge_deg"):
-        return select_smooth(rows, test)
-    return {}
 
 
 def _make_figure(rows: Rows, values: np.ndarray, poses: np.ndarray) -> Figure:
@@ -182,41 +159,43 @@ def _compute_recoveries(rows: Rows) -> dict[str, Figure]:
     that also has taps and sheared contacts have one.
     """
     figures: dict[str, Figure] = {}
-    names = dict.fromkeys(list_score_names(rows))
-    for test, name in names:
+    stacks = stack_scores(rows)
+    for test, name in stacks:
         table, kind, *quantity = name.split("/")
         if table != "pose" or kind in ("tap", "sheared"):
             continue
         tap, sheared = "/".join(["pose/tap", *quantity]), "/".join(["pose/sheared", *quantity])
-        tap_test = next((each for each in (test, TAP_TEST) if (each, tap) in names), None)
-        if tap_test is None or (test, sheared) not in names:
+        tap_test = next((each for each in (test, TAP_TEST) if (each, tap) in stacks), None)
+        if tap_test is None or (test, sheared) not in stacks:
             continue
-        errors = [
-            ScoredErrors(stack_seeds(rows, each, score), number_contact_poses(rows, each))
-            for each, score in ((test, name), (test, sheared), (tap_test, tap))
-        ]
-        parts: dict[str, np.ndarray | slice] = {"": slice(None)}
+        scores = ((test, name), (test, sheared), (tap_test, tap))
+        poses = [number_contact_poses(rows, each) for each, _ in scores]
+        parts = dict(ALL_CONTACTS)
         if tap_test == test:
             parts |= select_by_shape(rows, test)
         recovery_name = name.replace("pose/", "pose_recovery/", 1)
         for shape, contacts in parts.items():
-            part = [ScoredErrors(each.values[:, contacts], each.poses[contacts]) for each in errors]
-            if figure := _compute_recovery(list(rows), part):
+            errors = [stacks[each][:, contacts] for each in scores]
+            if figure := _compute_recovery(rows, errors, [each[contacts] for each in poses]):
                 figures[format_name(test, recovery_name, shape)] = figure
     return figures
 
 
-def _compute_recovery(seeds: Sequence[int], errors: Sequence[ScoredErrors]) -> Figure | None:
-    """Compute the recovery of mean errors on unsheared and sheared contacts, and on taps."""
-    mean = compute_recovery(*(float(each.values.mean()) for each in errors))
+def _compute_recovery(
+    seeds: Iterable[int], errors: Sequence[np.ndarray], poses: Sequence[np.ndarray]
+) -> Figure | None:
+    """Compute the recovery of mean errors on unsheared and sheared contacts, and on taps.
+
+    `errors` (seeds, N) and `poses` (N,) are of the three kinds of contact.
+    """
+    mean = compute_recovery(*(float(each.mean()) for each in errors))
     if mean is None:
         return None
-    by_seed = np.stack([each.values.mean(axis=1) for each in errors], axis=1).tolist()
+    by_seed = np.stack([each.mean(axis=1) for each in errors], axis=1).tolist()
     recoveries = {
         str(seed): compute_recovery(*row) for seed, row in zip(seeds, by_seed, strict=True)
     }
-    resampled = [resample_means(each.values, each.poses) for each in errors]
-    return Figure(mean, compute_recovery_interval(*resampled), recoveries)
+    return Figure(mean, compute_recovery_interval(*map(resample_means, errors, poses)), recoveries)
 
 
 def compute_differences(rows: Rows, other: Rows) -> dict[str, Figure]:
@@ -229,14 +208,14 @@ def compute_differences(rows: Rows, other: Rows) -> dict[str, Figure]:
     rows, other = {seed: rows[seed] for seed in common}, {seed: other[seed] for seed in common}
     notes, other_notes = get_metric_notes(rows), get_metric_notes(other)
     same_images = all(notes.get(key) == other_notes.get(key) for key in ("ms_ssim", "image_px"))
-    figures = {}
-    for test, name in list_score_names(rows):
+    stacks, figures = stack_scores(other), {}
+    for (test, name), values in stack_scores(rows).items():
         if ("ms_ssim" in name or name.startswith("swap/")) and not same_images:
             continue
-        if (test, name) in list_score_names(other) and has_same_contacts(rows, other, test):
-            values = stack_seeds(rows, test, name) - stack_seeds(other, test, name)
-            interval = compute_interval(values, number_contact_poses(rows, test))
-            figures[format_name(test, name)] = Figure(float(values.mean()), interval)
+        if (test, name) in stacks and has_same_contacts(rows, other, test):
+            differences = values - stacks[test, name]
+            interval = compute_interval(differences, number_contact_poses(rows, test))
+            figures[format_name(test, name)] = Figure(float(differences.mean()), interval)
     return figures
 
 
@@ -264,10 +243,7 @@ def _average_over_seeds(by_seed: Mapping[int, Mapping[str, float]]) -> dict[str,
 
 
 def format_table(summary: SweepResult) -> str:
-    """Format a line per cell, then the failures with their reasons, then the frontiers.
-
-    A line has the main figures with their intervals, seconds of training, and memory.
-    """
+    """Format a line per cell: main figures, time and memory; then failures and frontiers."""
     cells = summary.cells
     names = select_main_metrics(summary)
     head, rows = ("", "seeds", *names, "training", "memory"), []

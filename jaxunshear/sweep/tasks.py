@@ -66,7 +66,6 @@ def read_outcome(folder: Path, kind: str) -> Outcome | None:
 
 
 def read_order(folder: Path) -> TaskOrder:
-    """Read the task.json in `folder`."""
     return read_record(folder / TASK, TaskOrder, "delete that folder and run the same command")
 
 

@@ -63,10 +63,7 @@ def main(folder: Path, parent: int) -> int:
 
 
 def exit_with_parent(parent: int) -> None:
-    """Make the system kill this process when `parent` ends, however it ends.
-
-    It does so on Linux; on other systems the process finishes its task first.
-    """
+    """Make Linux kill this process when `parent` ends; elsewhere it finishes its task first."""
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it ended before the call above
@@ -74,10 +71,7 @@ def exit_with_parent(parent: int) -> None:
 
 
 def run_order(order: TaskOrder, folder: Path) -> Outcome:
-    """Run the task and return its outcome, with its time and memory.
-
-    A full disk is no failure of the task and raises its error.
-    """
+    """Run a task; return its outcome with time and memory. A full disk raises its error."""
     start = time.perf_counter()
     try:
         check_variables()  # each machine of a cluster has its own

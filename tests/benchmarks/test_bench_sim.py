@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks import bench_figure, bench_sim, other_solvers
-from benchmarks.bench_sim import Effort, Setting
+from benchmarks.bench_sim import Effort, Setting, set_ring_spacing
 from benchmarks.bench_sim import bench_sim as bench
-from jaxunshear.config.sensor import compute_ring_spacing, set_ring_spacing
+from jaxunshear.config.sensor import compute_ring_spacing
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.level import LEVELS
 from jaxunshear.simulator.scene import Scenes

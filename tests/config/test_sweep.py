@@ -66,23 +66,6 @@ def test_a_bad_sweep_is_refused_in_one_line(changes, line):
     assert line in str(refusal.value) and "\n" not in str(refusal.value)
 
 
-def test_the_form_of_a_sweep_is_checked_before_anything_reads_it(tmp_path):
-    file = tmp_path / "bad.py"
-    file.write_text(
-        f"{IMPORTS}base = Experiment(name='x', claim='y')\n"
-        "sweep = Sweep(name='x', claim='y', base=base, grid=('train.batch', (1, 2)))\n"
-    )
-    with pytest.raises(UserError, match=r"bad\.py: sweep\.grid is no tuple of axes"):
-        load_sweep(file)
-
-
-def test_a_field_within_a_varied_group_cannot_be_overridden():
-    sensors = replace(PLAIN, grid=(("sensor", (TACTIP_331,)),))
-    for words in (["--sensor.skin_mm", "2"], ["--sensor", "tactip127"]):
-        with pytest.raises(UserError, match="varies sensor"):
-            override_base(sensors, words)
-
-
 BAD_CELLS = [
     ({"grid": (("train.batch", (4, 0)),)}, "cell batch=0: --train.batch 0: must be at least 1"),
     ({"grid": (("train.batch", (4, "many")),)}, "cell batch=many: --train.batch takes an integer"),
@@ -120,9 +103,13 @@ def test_fields_of_the_base_are_overridden_but_not_those_of_an_axis():
     ):
         with pytest.raises(UserError, match=line):
             override_base(LAMBDA, words.split())
-    rings = replace(PLAIN, grid=(("sensor.rings", (8, 10)),))
-    with pytest.raises(UserError, match=r"--sensor: .* varies sensor.rings"):
-        override_base(rings, ["--sensor", "tactip127"])
+    for axis, words in (
+        (("sensor.rings", (8, 10)), "--sensor tactip127"),
+        (("sensor", (TACTIP_331,)), "--sensor tactip127"),
+        (("sensor", (TACTIP_331,)), "--sensor.skin_mm 2"),
+    ):
+        with pytest.raises(UserError, match=rf"--sensor.* varies {axis[0]};"):
+            override_base(replace(PLAIN, grid=(axis,)), words.split())
 
 
 def test_an_ordinary_experiment_is_a_sweep_of_seeds_alone():
@@ -139,6 +126,11 @@ def test_a_file_without_sweep_or_experiment_is_refused(tmp_path):
     for text, line in (
         ("a = 1", "bad.py defines no variable `sweep`"),
         ("sweep = {}", "bad.py: `sweep` is of type dict, not Sweep"),
+        (
+            f"{IMPORTS}base = Experiment(name='x', claim='y')\n"
+            "sweep = Sweep(name='x', claim='y', base=base, grid=('train.batch', (1, 2)))\n",
+            r"bad\.py: sweep\.grid is no tuple of axes",
+        ),
         (f'{IMPORTS}experiment = Experiment(name="a", claim="b", train=None)', "train is of type"),
         (
             f'{IMPORTS}base = Experiment(name="a", claim="b", train=3)\n'

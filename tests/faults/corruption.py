@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.bench_sim import set_ring_spacing
 from jaxunshear.api import load_model
 from jaxunshear.config.configs import get_set_folder
 from jaxunshear.config.data import PairedData, PoseData, Recorded
 from jaxunshear.config.load import load_experiment
-from jaxunshear.config.sensor import TACTIP_127, Sensor, set_ring_spacing
+from jaxunshear.config.sensor import TACTIP_127, Sensor
 from jaxunshear.config.serialization import from_json
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import load_chunk

@@ -88,7 +88,7 @@ def _fuzz(kind: str, share: float, drawn: st.SearchStrategy, check: Check, size:
 
 
 def _draw_settings() -> st.SearchStrategy:
-    names = st.sampled_from([name for name, _ in list_field_types()])
+    names = st.sampled_from(list(list_field_types()))
     near = st.one_of(names, names.map(lambda name: name[:-1]), st.text(max_size=6))
     return st.lists(st.tuples(near, CELLS), min_size=1, max_size=3)
 

@@ -148,12 +148,13 @@ def build_sweep_rows(found):
 
 def main():
     if sys.argv[1] == "sweep":
-        from jaxunshear.sweep.run import make_ray_engine, run_sweep
+        from jaxunshear.cluster import make_ray_runner
+        from jaxunshear.sweep.run import run_sweep
 
         out = Path(sys.argv[2])
         (out / "data").mkdir(parents=True, exist_ok=True)
         failing = replace(SWEEP, grid=SWEEP.grid[:1], rows=((("train.learning_rate", 0.5),),))
-        more = {"engine": make_ray_engine(None, 1)} if sys.argv[3:] == ["ray"] else {}
+        more = {"run_calls": make_ray_runner(None, 1)} if sys.argv[3:] == ["ray"] else {}
         retry = sys.argv[3:] == ["retry"]
         summary = run_sweep(
             failing, out, out / "data", "none", retry_failed=retry, worker=WORKER, **more

@@ -106,7 +106,7 @@ def test_every_setting_decides_the_digest_but_names_and_order(base, other):
     assert _value(base, other) is None
     change = {bool: lambda v: not v, int: lambda v: v + 1, float: lambda v: v + 0.5}
     change[str] = lambda v: v + "x"
-    for name, kind in list_field_types():
+    for name, kind in list_field_types().items():
         value = _value(base, name)
         if name in ("name", "claim", "sensor") or value is None:  # None: of the other kind of data
             continue

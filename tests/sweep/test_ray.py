@@ -9,26 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from jaxunshear.errors import UserError
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.sweep.run import make_ray_engine
 from tests.helpers.reproducible import select_sweep
-
-
-def test_without_ray_it_says_how_to_get_it(absent):
-    absent("ray")
-    with pytest.raises(UserError, match=r"--engine ray needs Ray: pip install .*\[ray\]"):
-        make_ray_engine(None, 1)
-
-
-def test_a_cluster_that_is_not_there_is_one_line_at_once():
-    pytest.importorskip("ray")
-    for address in ("127.0.0.1:1", "ray://127.0.0.1:1", "127.0.0.1:port"):
-        line = f"--ray-address {address}: no cluster answers there"
-        with pytest.raises(UserError, match=line) as refusal:
-            make_ray_engine(address, 1)
-        assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.long

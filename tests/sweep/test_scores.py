@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
-from jaxunshear.evaluation.intervals import RESAMPLES, compute_intervals
+from jaxunshear.evaluation.intervals import compute_intervals
 from jaxunshear.sweep.scores import (
     compute_interval,
-    describe_intervals,
-    draw_counts,
     resample_means,
 )
 
@@ -68,18 +66,6 @@ def test_it_holds_the_true_mean_as_often_as_it_says(seeds, effects):
     assert np.mean(held) >= 0.93
 
 
-def test_a_sweep_says_what_its_intervals_are():
-    poses = "bootstrap over test poses"
-    assert describe_intervals(3)["interval"].startswith(f"Student's t over 3 seeds and {poses}")
-    assert describe_intervals(1)["interval"].startswith(poses)
-
-
-def test_the_mean_of_the_resamples_is_the_mean():
-    values = scores(12, 0.3, 0.5)
-    error = width_expected(values) / (2 * 1.96) / np.sqrt(RESAMPLES)
-    assert resample_means(values, POSES).mean() == pytest.approx(values.mean(), abs=4 * error)
-
-
 def test_slides_of_a_pose_are_drawn_together():
     """As independent contacts they would give an interval narrower by the square root of two."""
     values = scores(1, 0.0, 1.0)
@@ -98,17 +84,6 @@ def test_poses_may_have_different_numbers_of_contacts():
     values, poses = np.array([[1.0, 1.0, 1.0, 5.0]]), np.array([0, 0, 0, 1])
     found = set(np.round(resample_means(values, poses), 12))
     assert found == {1.0, 2.0, 5.0}  # both drawn once: the mean over contacts, not over poses
-
-
-def test_a_constant_difference_has_no_width():
-    values = scores(4, 1.0, 1.0, 1.0)
-    assert compute_interval((values + 0.25) - values, POSES) == pytest.approx([0.25, 0.25])
-
-
-def test_draws_depend_on_the_number_alone_and_differ_between_seeds_and_poses():
-    assert np.array_equal(draw_counts(7, 0), draw_counts(7, 0))
-    assert not np.array_equal(draw_counts(7, 0), draw_counts(7, 1))
-    assert set(draw_counts(7, 0).sum(axis=1)) == {7.0}
 
 
 def test_shapes_that_do_not_fit_are_refused():
