@@ -15,10 +15,10 @@ import numpy as np
 
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Preprocess
 from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
-from jaxunshear.data.labels import LabelProblem
 from jaxunshear.data.recorded_contacts import MIN_MOVE
 from jaxunshear.data.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.data.sensor_frame import LARGEST_PX, MIN_FRAMES
+from jaxunshear.data.tables import LabelProblem
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.grey import check_frame, to_grey
