@@ -87,8 +87,8 @@ def read_table(file: Path) -> LabelTable:
     lines = _read_lines(file)
     heading = min(lines)
     columns = tuple(lines.pop(heading))
-    if number := next((name for name in columns if re.fullmatch(NUMBER, name)), None):
-        text = f"has no heading, but {number} in its place: name the columns in the first line"
+    if value := next((name for name in columns if re.fullmatch(NUMBER, name)), None):
+        text = f"has no heading, but {value} in its place: name the columns in the first line"
         raise make_table_error(file, text, heading)
     repeated = next((name for name in columns if name and columns.count(name) > 1), None)
     if repeated is not None:
