@@ -168,6 +168,10 @@ def _check_labels(recordings: Recordings, rows: list[int]) -> LabelCheck:
         values = poses[has_pose, column] if field == "pose" else moves[has_move, column]
         if len(values) and np.ptp(values) > MIN_MOVE:
             ranges[name] = (float(values.min()), float(values.max()))
+    for name, numbers in recordings.others.items():
+        values = numbers[rows][np.isfinite(numbers[rows])]
+        if len(values) and np.ptp(values) > 0:
+            ranges[name] = (float(values.min()), float(values.max()))
     complete = has_pose & has_move
     taps, slides = int((complete & ~is_slide).sum()), int((complete & is_slide).sum())
     return LabelCheck(int(has_pose.sum()), taps, slides, ranges)

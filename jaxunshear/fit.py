@@ -18,6 +18,7 @@ from jaxunshear.config.networks import (
     PinNet,
     UnshearNet,
 )
+from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS, list_column_names
 from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.config.types import Value
 from jaxunshear.data.recorded_contacts import compute_digest, read_contacts
@@ -79,6 +80,10 @@ def set_recordings(
     if pairs:
         recorded = replace(recorded, pairing="file")
     contacts = read_contacts(recorded)
+    for name in list_column_names(experiment.targets):
+        if name not in contacts.others:
+            known = ", ".join((*RECORDED_FIELDS, *LABELLED_SLIDES, *contacts.others))
+            raise UserError(f"target '{name}' is unknown: use {known}")
     more = len(contacts.notes) - SHOWN_NOTES
     for note in (*contacts.notes[:SHOWN_NOTES], *([f"and {more} more"] if more > 0 else [])):
         warnings.warn(note, Note, stacklevel=2)

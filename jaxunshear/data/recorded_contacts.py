@@ -8,6 +8,7 @@ Imports no JAX.
 """
 
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ import numpy as np
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.splits import SPLITS, hash_text
-from jaxunshear.data.labels import compute_span, normalise_text, read_pair_table
+from jaxunshear.data.labels import compute_span, join_columns, normalise_text, read_pair_table
 from jaxunshear.data.recorded_splits import cut_block, read_folder_split, split_by_folders
 from jaxunshear.data.recordings import Recordings, read_recordings
 from jaxunshear.errors import UserError
@@ -41,6 +42,7 @@ class RecordedContacts(NamedTuple):
     pose_id: np.ndarray  # (N,) -1 where unknown
     is_slide: np.ndarray  # (N,) bool
     split: np.ndarray  # (N,) index into SPLITS
+    others: Mapping[str, np.ndarray]  # further columns (N,) of the tables by name
     notes: tuple[str, ...]
     paired_by_table: bool = False  # `pose_id` then numbers the taps of the table
 
@@ -54,6 +56,7 @@ class RecordedContacts(NamedTuple):
             pose_id=self.pose_id[rows],
             is_slide=self.is_slide[rows],
             split=self.split[rows],
+            others={name: values[rows] for name, values in self.others.items()},
         )
 
 
@@ -154,6 +157,7 @@ def _make_contacts(recordings: Recordings, is_slide: bool = False) -> RecordedCo
         pose_id=np.full(count, -1) if recordings.pose_ids is None else recordings.pose_ids,
         is_slide=np.full(count, is_slide),
         split=np.full(count, SPLITS.index("test")),
+        others=recordings.others,
         notes=tuple(recordings.notes),
     )
 
@@ -230,6 +234,7 @@ def _join_contacts(parts: list[RecordedContacts]) -> RecordedContacts:
         pose_id=np.concatenate(pose_ids),
         is_slide=np.concatenate([part.is_slide for part in parts]),
         split=np.concatenate([part.split for part in parts]),
+        others=join_columns([part.others for part in parts], [len(part.files) for part in parts]),
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.code_version import read_source
-from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
+from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS, get_unit
 from jaxunshear.data.recordings import RecordedFrame, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, format_csv, write_bytes, write_text
@@ -133,7 +133,7 @@ def predict_recordings(
             cells |= _format_poses(pose, f"{kind}_")
             if not result.reason:
                 rows += [
-                    _make_row(f"{result.name}.{kind}.{name}", value, name.split("_")[-1])
+                    _make_row(f"{result.name}.{kind}.{name}", value, get_unit(name))
                     for name, value in pose.items()
                 ]
         table.append(cells | run.format_labels(result))
@@ -252,7 +252,7 @@ class _FolderRun:
             *(_make_row(name, count, "1") for name, count in counts.items()),
             *times,
             *(
-                _make_row(f"pose_mae.{name}", value, name.rpartition("_")[2])
+                _make_row(f"pose_mae.{name}", value, get_unit(name))
                 for name, value in errors.items()
             ),
         ]
@@ -265,6 +265,10 @@ class _FolderRun:
             name: values[self._rows, column]
             for name, (field, column) in (RECORDED_FIELDS | LABELLED_SLIDES).items()
             if name in self._targets and (values := labels[field]) is not None
+        } | {
+            name: values[self._rows]
+            for name, values in self.recordings.others.items()
+            if name in self._targets
         }
         means: dict[str, float] = {}
         if len(true) != len(self._targets) or not self._poses:
