@@ -2,6 +2,8 @@
 
 import re
 import unicodedata
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +11,14 @@ from PIL import Image
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.outlines import read_outline
+from jaxunshear.config.rules import validate
 from jaxunshear.config.sensor import Preprocess
+from jaxunshear.config.targets import list_label_fields, locate_targets, read_true_values
 from jaxunshear.data.recorded_contacts import read_test_contacts
+from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.fit import BASE_EXPERIMENT, set_recordings
 from jaxunshear.perception.lattice_fitting import read_layout
 from tests.inputs.cases import Case, run_each
 
@@ -218,6 +224,43 @@ def check_other_columns(root):
     np.testing.assert_array_equal(found.others["Fx"], np.arange(12) + 0.5)
 
 
+def check_column_targets(root):
+    """A force is learnt from slides that have one, with a pose or without."""
+    count = 12
+    rows = {name: np.zeros(count, np.int32) for name in ("sure", "pose_id")}
+    rows |= {"slid": np.ones(count, np.int32), "number": np.arange(count, dtype=np.int32)}
+    rows |= {name: np.full((count, 6), np.nan, np.float32) for name in ("pose", "move")}
+    rows |= {"image": np.zeros((count, 128), np.uint8), "pins": np.zeros((count, 7, 2))}
+    rows["others"] = np.stack([np.zeros(count), np.arange(count)], axis=1).astype(np.float32)
+    rows["others"][3, 1] = np.nan
+    stored = SimpleNamespace(metadata={"others": ["time", "Fx"]}, rows=lambda split: rows)
+    learnt = RecordedSet(Recorded("a", "a"), stored, targets=("Fx",))
+    targets, slides = learnt.make_targets(("Fx",)), learnt.read_slides()
+    batch = slides.take("train", np.arange(slides.length("train")), list_label_fields(targets))
+    assert read_true_values(targets, batch)["Fx"].tolist() == [0, 1, 2, *range(4, count)]
+    (moved,) = locate_targets(targets, ["Fx"])
+    assert moved.column == 0
+    with pytest.raises(UserError, match="'Fx': these recordings have no such column"):
+        locate_targets(targets, ["Fy"])
+
+
+def check_unknown_column(root):
+    write(root, [*OLDER, "Fx"])
+    lines = (root / TABLE).read_text().splitlines()
+    rows = [f"{line[:-2]},{i}" for i, line in enumerate(lines[1:])]
+    (root / TABLE).write_text("\n".join([lines[0], *rows]))
+    experiment = replace(BASE_EXPERIMENT, targets=("Fy",))
+    with pytest.raises(UserError, match=r"target 'Fy' is unknown: use x_mm, .*, Fx$"):
+        set_recordings(experiment, str(root), str(root))
+
+
+def check_networks_of_columns(root):
+    asked = replace(BASE_EXPERIMENT, targets=("Fx", "y_mm"), paired=Recorded("a", "a"))
+    validate(replace(asked, networks=("posenet", "posenet_sheared")))
+    with pytest.raises(UserError, match="none but posenet and posenet_sheared learns Fx"):
+        validate(asked)
+
+
 def check_unicode(form):
     def check(root):
         name = "taps\u00e9_1.png"
@@ -322,6 +365,9 @@ CASES = [
     Case("four axes", READ, "labels", check_four_axes),
     Case("columns without a number", READ, "labels", check_empty_columns),
     Case("forces and words beside poses", READ, "forces kept", check_other_columns),
+    Case("a force for some contacts", "RecordedSet", "learnt from these", check_column_targets),
+    Case("--targets Fy without such a column", "fit", "exit 2", check_unknown_column),
+    Case("--targets Fx, networks that unshear", "fit", "exit 2", check_networks_of_columns),
     Case("names in NFC, table in NFD", READ, "labels", check_unicode("NFC")),
     Case("names in NFD, table in NFC", READ, "labels", check_unicode("NFD")),
     Case("pairs in NFD, a name in two folders", "fit --pairs", "pairs, exit 2", check_pairs),
