@@ -181,7 +181,7 @@ CASES = [
     Case("turned by EXIF", IMAGE, "the image, upright", check_turned),
     Case("an empty file", READ, "left out", no_image(lambda f: f.touch(), "the file is empty")),
     Case(
-        "a pointer of Git LFS",
+        "an image that is a pointer of Git LFS",
         READ,
         "left out",
         no_image(lambda f: f.write_bytes(POINTER), "git lfs pull"),

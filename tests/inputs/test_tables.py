@@ -308,6 +308,12 @@ def no_outline(data, words):
     return check
 
 
+def check_svg_pointer(root):
+    (root / "mine.svg").write_text(POINTER)
+    with pytest.raises(UserError, match="git lfs pull"):
+        read_outline(root / "mine.svg")
+
+
 def check_layout(root):
     pins = "\n".join(f"{i // 5},{i % 5 * 2}" for i in range(25))
     (root / "pins.csv").write_text(f"y,x\n{pins}\n")
@@ -499,6 +505,7 @@ CASES = [
         "refused",
         no_outline(POINTER.encode(), "git lfs pull"),
     ),
+    Case("a pointer called svg", "read_outline", "refused", check_svg_pointer),
     Case("head y,x, underscores", "pins --layout", "points, refused", check_layout),
 ]
 
