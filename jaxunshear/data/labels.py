@@ -68,12 +68,12 @@ def join_columns(
     parts: Sequence[Mapping[str, np.ndarray]], counts: Sequence[int]
 ) -> dict[str, np.ndarray]:
     """Join columns by name, of `counts` rows each; they are NaN where a part lacks them."""
-    names = dict.fromkeys(name for part in parts for name in part)
     unknown = [np.full(count, np.nan) for count in counts]
-    return {
-        name: np.concatenate([*map(lambda part, rows: part.get(name, rows), parts, unknown)])
-        for name in names
-    }
+    columns = {}
+    for name in dict.fromkeys(name for part in parts for name in part):
+        own = [part.get(name, rows) for part, rows in zip(parts, unknown, strict=True)]
+        columns[name] = np.concatenate(own)
+    return columns
 
 
 def normalise_text(text: str) -> str:
@@ -243,7 +243,7 @@ def compute_span(values: np.ndarray) -> float:
 
 
 def _read_others(table: LabelTable, numbers: Sequence[int | None]) -> dict[str, np.ndarray]:
-    """Read the other columns (N,) with numbers that vary, as forces and torques."""
+    """Read the other columns (N,) with numbers, as forces and torques."""
     own = {name.lower() for naming in (*POSE_COLUMNS, *MOVE_COLUMNS) for name in naming}
     others = {}
     for column in table.columns:
@@ -251,8 +251,7 @@ def _read_others(table: LabelTable, numbers: Sequence[int | None]) -> dict[str, 
             continue
         cells = [None if number is None else table.rows[number][column] for number in numbers]
         values = np.array([_parse_label(cell) if cell else None for cell in cells], float)
-        known = values[np.isfinite(values)]
-        if (known != known[:1]).any():
+        if np.isfinite(values).any():
             others[column] = values
     return others
 

@@ -221,11 +221,15 @@ def _draw_split_keys(contacts: RecordedContacts, seed: int) -> np.ndarray:
 
 
 def _join_contacts(parts: list[RecordedContacts]) -> RecordedContacts:
-    """Join contacts, their pose numbers as ranks among all; equal notes become one."""
+    """Join contacts, their pose numbers as ranks among all; equal notes become one.
+
+    Other columns than poses and moves are kept if they vary.
+    """
     numbers = np.unique(np.concatenate([part.pose_id for part in parts]))
     pose_ids = [
         np.where(part.pose_id < 0, -1, np.searchsorted(numbers, part.pose_id)) for part in parts
     ]
+    others = join_columns([part.others for part in parts], [len(part.files) for part in parts])
     return RecordedContacts(
         files=tuple(file for part in parts for file in part.files),
         names=tuple(name for part in parts for name in part.names),
@@ -234,7 +238,11 @@ def _join_contacts(parts: list[RecordedContacts]) -> RecordedContacts:
         pose_id=np.concatenate(pose_ids),
         is_slide=np.concatenate([part.is_slide for part in parts]),
         split=np.concatenate([part.split for part in parts]),
-        others=join_columns([part.others for part in parts], [len(part.files) for part in parts]),
+        others={
+            name: values
+            for name, values in others.items()
+            if len(np.unique(values[np.isfinite(values)])) > 1
+        },
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )
 
