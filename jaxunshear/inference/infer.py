@@ -310,8 +310,8 @@ def _sample_images(recordings: Recordings, model: TrainedModel) -> np.ndarray:
 def _list_png_files(names: tuple[str, ...]) -> list[str]:
     """List the PNG file of each image, its own on file systems that know no capitals, too.
 
-    A PNG keeps its name; another image of its stem is called as `image_1.jpg.png`, or, where that
-    is too long, by a number.
+    A PNG keeps its name; another image of its stem, but for capitals, is called as
+    `image_1.jpg.png`, or, where that is too long, by a number.
     """
     files, taken = [""] * len(names), set[str]()
     for row in sorted(range(len(names)), key=lambda row: not names[row].endswith(".png")):

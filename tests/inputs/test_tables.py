@@ -456,11 +456,8 @@ CASES = [
     Case(
         "points and commas in numbers",
         READ,
-        "refused, a note",
-        refused(
-            lambda text: re.sub(r"(\d)\.(\d+);0;0;", r"\1,\2;0;0;", semicolons(text), count=5),
-            "no usable number",
-        ),
+        "unknown, a note",
+        unknown(lambda text: semicolons(text).replace("1.png;0;-5", "1.png;0;-5,5", 1), "'-5,5'"),
     ),
     Case(
         "UTF-16",
