@@ -15,10 +15,10 @@ import numpy as np
 
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Preprocess
 from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
-from jaxunshear.data.labels import LabelProblem
 from jaxunshear.data.recorded_contacts import MIN_MOVE
 from jaxunshear.data.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.data.sensor_frame import LARGEST_PX, MIN_FRAMES
+from jaxunshear.data.tables import LabelProblem
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.grey import check_frame, to_grey
@@ -167,6 +167,10 @@ def _check_labels(recordings: Recordings, rows: list[int]) -> LabelCheck:
     for name, (field, column) in (RECORDED_FIELDS | LABELLED_SLIDES).items():
         values = poses[has_pose, column] if field == "pose" else moves[has_move, column]
         if len(values) and np.ptp(values) > MIN_MOVE:
+            ranges[name] = (float(values.min()), float(values.max()))
+    for name, numbers in recordings.others.items():
+        values = numbers[rows][np.isfinite(numbers[rows])]
+        if len(values) and np.ptp(values) > 0:
             ranges[name] = (float(values.min()), float(values.max()))
     complete = has_pose & has_move
     taps, slides = int((complete & ~is_slide).sum()), int((complete & is_slide).sum())

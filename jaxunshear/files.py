@@ -15,6 +15,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import tokenize
 import zipfile
 import zlib
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 
 Json = dict[str, Any]  # an object whose keys are a command's own, as rows of its tables are
 CHECKSUM_FIELD = "checksum"  # of an object of JSON, beside its fields
+LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+NUMBER = r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"
+STARTED_NUMBER = r"(^|[\s,;])[-+.]*\d"  # in a line, which no heading has
 FULL_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT)
 MACHINE_ERRORS = (
     *(errno.EACCES, errno.EPERM, errno.EMFILE, errno.ENFILE, errno.ENOMEM),
@@ -100,6 +104,49 @@ def _iterate_causes(error: BaseException | None) -> Iterator[BaseException]:
         error = error.__cause__ or error.__context__
 
 
+def explain_no_content(data: bytes) -> str:
+    """Explain why the bytes of a file are not what its name promises, if they never can be."""
+    if not data:
+        return "the file is empty"
+    if data.startswith(LFS_POINTER):
+        return "only a pointer of Git LFS is here, not the file: run `git lfs pull`"
+    return ""
+
+
+def parse_number(text: str) -> float:
+    """Parse a finite decimal number of digits 0 to 9, as CSV holds it. Raises ValueError."""
+    if not re.fullmatch(NUMBER, text):
+        raise ValueError(f"{text[:30]!a} is not a number")
+    return float(text)
+
+
+def read_points(file: Path) -> list[list[float]]:
+    """Read a table of points, x and y a line, whose heading may say `y,x`.
+
+    Empty lines and those that begin with # are passed over. Raises OSError, and ValueError by line.
+    """
+    points: list[list[float]] = []
+    order, data = 1, file.read_bytes()
+    if reason := explain_no_content(data):
+        raise ValueError(reason)
+    has_heading = False
+    for number, line in enumerate(data.decode("utf-8-sig").splitlines(), 1):
+        cells = [cell for cell in re.split(r"[,;\s]+", line) if cell]
+        if not cells or cells[0].startswith("#"):
+            continue
+        if not (points or has_heading or re.search(STARTED_NUMBER, line)):
+            names = re.findall("(?<![a-z])[xy](?![a-z])", line.lower())
+            has_heading, order = True, -1 if names == ["y", "x"] else 1
+            continue
+        try:
+            x, y = map(parse_number, cells[::order])
+        except ValueError:
+            text = f"line {number}: {line.strip()[:60]!r} is not two numbers, x and y"
+            raise ValueError(text) from None
+        points.append([x, y])
+    return points
+
+
 def read_npz(file: Path | BinaryIO) -> "dict[str, np.ndarray]":
     """Read all arrays by name. Raises one of BROKEN_NPZ.
 
@@ -130,7 +177,9 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 def _replace(path: Path, data: bytes) -> None:
     """Replace a file in one step: all of `data` is there, or the old file stays. Raises OSError."""
-    part = path.with_name(path.name + ".part")
+    # a name may take all the bytes that a file system has for names
+    digest = hashlib.blake2b(os.fsencode(path.name), digest_size=8).hexdigest()
+    part = path.with_name(f"{digest}.part")
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         with part.open("wb") as file:

@@ -4,6 +4,7 @@
 """
 
 import dataclasses
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,13 +18,15 @@ from jaxunshear.config.networks import (
     PinNet,
     UnshearNet,
 )
+from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS, list_column_names
 from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.config.types import Value
 from jaxunshear.data.recorded_contacts import compute_digest, read_contacts
 from jaxunshear.data.sensor_frame import identify_sensor
-from jaxunshear.errors import UserError
+from jaxunshear.errors import Note, UserError
 from jaxunshear.files import write_text
 
+SHOWN_NOTES = 10  # on recordings
 BASE_EXPERIMENT = Experiment(
     name="recorded",
     claim=(
@@ -77,6 +80,13 @@ def set_recordings(
     if pairs:
         recorded = replace(recorded, pairing="file")
     contacts = read_contacts(recorded)
+    for name in list_column_names(experiment.targets):
+        if name not in contacts.others:
+            known = ", ".join((*RECORDED_FIELDS, *LABELLED_SLIDES, *contacts.others))
+            raise UserError(f"target '{name}' is unknown: use {known}")
+    more = len(contacts.notes) - SHOWN_NOTES
+    for note in (*contacts.notes[:SHOWN_NOTES], *([f"and {more} more"] if more > 0 else [])):
+        warnings.warn(note, Note, stacklevel=2)
     has_slides = bool(contacts.is_slide.any()) or recorded.pairing == "simulated"
     has_taps = bool((~contacts.is_slide).any())
     if recorded.direct_taps != "none" and not has_taps:

@@ -22,7 +22,7 @@ from jaxunshear.config.stimuli import (
     Target,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.files import read_json
+from jaxunshear.files import explain_no_content, read_json, read_points
 
 FILES = (".svg", ".csv", ".json")
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "in": 25.4}
@@ -52,6 +52,8 @@ def read_outline(file: Path) -> Outline:
         raise UserError(
             f"outline {file} is no file: name a drawing (.svg) or points in mm (.csv, .json)"
         )
+    if reason := explain_no_content(file.read_bytes()):
+        raise UserError(f"outline {file} cannot be read: {reason}")
     readers = {".svg": _read_svg, ".csv": _read_table, ".json": _read_json}
     fields = readers[file.suffix.lower()](file)
     try:
@@ -116,15 +118,12 @@ def _to_points(curve: np.ndarray) -> Points:
 
 def _read_table(file: Path) -> dict[str, Any]:
     try:
-        lines = [line.strip() for line in file.read_text().splitlines()]
-        rows = [re.split(r"[,;\s]+", line) for line in lines if line and not line.startswith("#")]
-        has_header = bool(rows) and re.match(r"[A-Za-z]", rows[0][0]) is not None
-        points = [tuple(map(float, row)) for row in rows[has_header:]]
+        points = tuple(map(tuple, read_points(file)))
     except (OSError, ValueError) as error:
         raise UserError(
             f"outline {file} cannot be read ({error}): write x and y in mm, a point a line"
         ) from None
-    return {"points": tuple(points)}
+    return {"points": points}
 
 
 def _read_json(file: Path) -> dict[str, Any]:

@@ -10,12 +10,20 @@ from jaxunshear.config.experiment import FURTHER_TESTS, Experiment, uses_pins
 from jaxunshear.config.fields import format_value, replace_field
 from jaxunshear.config.losses import EXCHANGE, InputKind, Requirement, Role, get_loss
 from jaxunshear.config.network_config import list_trained_networks, resolve_trained_networks
-from jaxunshear.config.networks import POSENET_SHEARED, REGISTRY, RENDERER, TEACHER, list_networks
+from jaxunshear.config.networks import (
+    POSENET_SHEARED,
+    POSENETS,
+    REGISTRY,
+    RENDERER,
+    TEACHER,
+    list_networks,
+)
 from jaxunshear.config.rules_simulated import find_simulated_problems
 from jaxunshear.config.sensor import TACTIP_331_FITTED
 from jaxunshear.config.targets import (
     LABELLED_SLIDES,
     RECORDED_FIELDS,
+    list_column_names,
     list_slide_names,
     list_text_problems,
 )
@@ -83,22 +91,30 @@ def _find_recorded_problems(experiment: Experiment, recorded: Recorded) -> Itera
     for field in ("unseen", *FURTHER_TESTS):
         if getattr(experiment, field):
             yield field, "is a test of simulated touches: leave it empty"
-    for problem in list_text_problems(experiment.targets, RECORDED_FIELDS | LABELLED_SLIDES):
+    columns, slides = list_column_names(experiment.targets), list_slide_names(experiment.targets)
+    known = (*RECORDED_FIELDS, *LABELLED_SLIDES, *columns)
+    for problem in list_text_problems(experiment.targets, known):
         yield "targets", problem
-    if slides := ", ".join(list_slide_names(experiment.targets)):
-        yield from _find_slide_target_problems(experiment, recorded, slides)
+    if columns or slides:
+        yield from _find_label_target_problems(experiment, recorded, columns, slides)
 
 
-def _find_slide_target_problems(
-    experiment: Experiment, recorded: Recorded, slides: str
+def _find_label_target_problems(
+    experiment: Experiment, recorded: Recorded, columns: list[str], slides: list[str]
 ) -> Iterator[Problem]:
-    """Find what does not go with targets that are recorded slides."""
+    """Find what does not go with targets that are no poses: other columns, and slides."""
+    names, trained = ", ".join(columns + slides), set(list_trained_networks(experiment))
     if recorded.direct_taps == "rendered":
-        yield "paired.direct_taps", f"rendered knows no {slides}: use recorded or none"
-    if set(list_trained_networks(experiment)) != {POSENET_SHEARED}:
-        yield "targets", f"a tap has no {slides}: name --networks posenet_sheared alone"
+        yield "paired.direct_taps", f"rendered knows no {names}: use recorded or none"
+    if slides and trained != {POSENET_SHEARED}:
+        remedy = f"a tap has no {', '.join(slides)}: name --networks posenet_sheared alone"
+        yield "targets", remedy
+    readers = {POSENET_SHEARED} if uses_pins(experiment) else set(POSENETS)
+    if columns and not trained <= readers:
+        remedy = f"none but {' and '.join(sorted(readers))} learns {', '.join(columns)}"
+        yield "targets", f"{remedy}: name no more by --networks"
     if experiment.pins.turned:
-        yield "pins.turned", f"does not turn {slides}: leave it at 0"
+        yield "pins.turned", f"does not turn {names}: leave it at 0"
 
 
 def _find_training_problems(experiment: Experiment) -> Iterator[Problem]:

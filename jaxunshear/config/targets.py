@@ -10,7 +10,7 @@ outputs, its cosine and sine, and its errors go the short way round.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +36,7 @@ RECORDED_FIELDS = {
 }
 # of recorded slides, in the frame of the labels
 LABELLED_SLIDES = {f"slide_{name}": ("move", i) for name, (_, i) in RECORDED_FIELDS.items()}
+OTHERS = "others"  # field of further columns of a recording's tables, as forces, by their names
 # of simulated slides, in the frame of the sensor
 SENSOR_SLIDES = {
     name: ("felt", i) for i, name in enumerate(("slide_x_mm", "slide_y_mm", "slide_twist_deg"))
@@ -51,7 +52,7 @@ FULL_CIRCLE_DEG = 300.0  # angles that span more are taken for a full circle
 class Target:
     """One quantity: where its label is in a batch, and how it is scaled for the network."""
 
-    name: str  # ends in its unit, _mm or _deg
+    name: str  # ends in its unit, _mm or _deg, unless it is that of a further column
     field: str
     column: int
     centre: float = 0.0  # of the range, mm or deg
@@ -131,7 +132,10 @@ def make_range_targets(
 
 
 def make_label_targets(
-    texts: Sequence[str], poses: np.ndarray, moves: np.ndarray | None = None
+    texts: Sequence[str],
+    poses: np.ndarray,
+    moves: np.ndarray | None = None,
+    others: Mapping[str, np.ndarray] | None = None,
 ) -> Targets:
     """Make the targets of recorded contacts; without texts, all columns of the pose that vary.
 
@@ -140,14 +144,22 @@ def make_label_targets(
     Args:
         poses: labels (N, 6) mm and deg of the training contacts, NaN where unknown.
         moves: of their slides (N, 6) mm and deg.
+        others: further columns (N,) of the tables by name.
     """
+    others, spans = others or {}, {}
     is_labelled = np.isfinite(poses).all(axis=1)
-    if not is_labelled.any():
+    if not is_labelled.any() and not list_column_names(texts):
         return ()
     moves = np.zeros_like(poses) if moves is None else moves
     labels = np.concatenate([poses, moves], axis=1)[is_labelled]
     fields = RECORDED_FIELDS | LABELLED_SLIDES
-    return _make_targets(texts, tuple(RECORDED_FIELDS), fields, _compute_spans(fields, labels))
+    if len(labels):
+        spans = _compute_spans(fields, labels)
+    for name, values in others.items():
+        if known := values[np.isfinite(values)].tolist():
+            spans[name] = (min(known), max(known))
+    fields |= {name: (OTHERS, i) for i, name in enumerate(others)}
+    return _make_targets(texts, tuple(RECORDED_FIELDS), fields, spans)
 
 
 def make_slide_targets(ranges: Ranges) -> Targets:
@@ -178,6 +190,30 @@ def list_slide_names(texts: Sequence[str]) -> list[str]:
     return [name for name in names if name in LABELLED_SLIDES]
 
 
+def list_column_names(texts: Sequence[str]) -> list[str]:
+    """List the names in the texts of targets that are of further columns of a recording."""
+    names = [text.partition(":")[0] for text in texts]
+    known = RECORDED_FIELDS.keys() | LABELLED_SLIDES.keys()
+    return [name for name in names if name not in known and not name.endswith(("_mm", "_deg"))]
+
+
+def locate_targets(targets: Targets, columns: Sequence[str]) -> Targets:
+    """Give targets that are further columns their places among `columns`. Raises UserError."""
+    located = []
+    for target in targets:
+        if target.field == OTHERS:
+            if target.name not in columns:
+                raise UserError(f"target '{target.name}': these recordings have no such column")
+            target = replace(target, column=columns.index(target.name))
+        located.append(target)
+    return tuple(located)
+
+
+def get_unit(name: str) -> str:
+    """Get the unit that the name of a target ends in; "1" if it names none."""
+    return name.rpartition("_")[2] if "_" in name else "1"
+
+
 def _make_targets(
     texts: Sequence[str],
     defaults: Sequence[str],
@@ -193,7 +229,7 @@ def _make_targets(
     targets = []
     for text in texts or defaults:
         name, kind, weight = parse_target(text, fields)
-        low, high = spans[name]
+        low, high = spans.get(name, (0.0, 0.0))
         if high - low <= MIN_VARIATION:
             if texts:
                 raise UserError(f"target '{name}' does not vary in this data set: leave it out")

@@ -7,6 +7,7 @@ damaged file. Until then contacts lie under `<data_dir>/.partial/`.
 
 import dataclasses
 import errno
+import functools
 import hashlib
 import importlib.metadata
 import os
@@ -248,11 +249,17 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
         "The folders of taps and slides that the settings name, in one of the layouts of README.md."
     )
 
+    @functools.cached_property
+    def _contacts(self) -> RecordedContacts:
+        return read_contacts(self.builder_config.settings)
+
     def _info(self) -> tfds.core.DatasetInfo:
         settings, pins = self.builder_config.settings, self.builder_config.sensor.pins
+        others = len(self._contacts.others)
         features = {
             "image": _make_image_feature(settings.preprocess.size),
             "pins": _make_pins_feature(pins),
+            **({"others": _make_vector_feature(others)} if others else {}),
             "sure": np.int32,
             "slid": np.int32,
             "pose": _make_vector_feature(6),
@@ -266,7 +273,7 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
         self, dl_manager: tfds.download.DownloadManager
     ) -> dict[str, Iterator[tuple[str, dict]]]:
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
-        contacts = read_contacts(settings)
+        contacts = self._contacts
         frame = find_sensor_frame(contacts, settings, sensor)
         paths = recorded_frames.prepare_chunks(contacts, settings, frame, self._unfinished_folder)
         counts, description = recorded_frames.summarise_recordings(contacts, frame, paths)

@@ -1,66 +1,40 @@
-"""Read the tables beside recorded images: poses, slides and pose numbers by image name.
+"""Read the tables beside recorded images: poses, slides and other numbers by image name.
 
-Problems are named by file and row. A row is counted as spreadsheets and editors do: the heading is
-row 1.
+The column of images is `sensor_image` or `image_name`, or whichever names images of the folder.
+Names match in any form of Unicode. Problems are named by file and row.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+import unicodedata
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.errors import UserError
+from jaxunshear.data.tables import (
+    LabelProblem,
+    LabelTable,
+    format_cell,
+    make_table_error,
+    read_table,
+)
+from jaxunshear.files import parse_number
 
-TABLES = ("targets.csv", "targets_images.csv")  # the first that can be read is
 IMAGE_COLUMNS = ("sensor_image", "image_name")
+REFERENCE = "reference"  # the image of the sensor that touches nothing, which has no pose
 AXES = ("x", "y", "z", "Rx", "Ry", "Rz")
 POSE_COLUMNS = tuple(f"pose_{i}" for i in range(1, 7)), tuple(f"pose_{axis}" for axis in AXES)
 MOVE_COLUMNS = tuple(f"move_{i}" for i in range(1, 7)), tuple(f"shear_{axis}" for axis in AXES)
 MAX_LABEL = 1e5  # mm or degrees: a number beyond it is no label
 MAX_POSE_ID = 2.0**53
 UNKNOWN_ID = -1
-
-
-@dataclass(frozen=True)
-class LabelTable:
-    """A table of text; rows are known by their number in the file, the heading being 1."""
-
-    file: Path
-    columns: tuple[str, ...]
-    rows: dict[int, dict[str, str]]  # cells by column
-    uneven: dict[int, int]  # rows that do not fit the heading: how many cells they have
-
-
-class LabelProblem(str):
-    """One line on what is wrong with a recording, with the place as data."""
-
-    place: Path
-    row: int | None  # of a table
-
-    @classmethod
-    def with_place(cls, place: Path, text: str, row: int | None = None) -> LabelProblem:
-        """Make a line that begins with the place."""
-        return cls.from_line(place, f"{place}{f', row {row}' if row else ''}: {text}", row)
-
-    @classmethod
-    def from_line(cls, place: Path, line: str, row: int | None = None) -> LabelProblem:
-        """Make a problem of a line that names the place in its own words."""
-        # a file's name may consist of bytes that are no text
-        printable = line.encode("utf-8", "backslashreplace").decode()
-        problem = cls(" ".join(printable.split()))
-        problem.place, problem.row = place, row
-        return problem
-
-
-def _make_error(file: Path, text: str, row: int | None = None) -> UserError:
-    return UserError(LabelProblem.with_place(file, text, row))
+NO_VARIATION = 1e-6  # mm or deg
+MIN_RANGED = 10  # contacts: fewer say nothing of ranges
+METRES = 0.05  # positions that vary by less do not look like mm
+RADIANS = {"pose": 6.3, "slide": 1.0}  # angles that vary by less do not look like degrees
 
 
 class ImageLabels(NamedTuple):
@@ -69,55 +43,47 @@ class ImageLabels(NamedTuple):
     poses: np.ndarray  # (N, 6) mm and degrees, NaN where unknown
     moves: np.ndarray  # (N, 6)
     pose_ids: np.ndarray  # (N,) int64, UNKNOWN_ID where unknown
+    others: Mapping[str, np.ndarray]  # column: (N,) in its own unit, NaN where unknown
 
     @classmethod
     def make_unknown(cls, images: int) -> ImageLabels:
         unknown = np.full((images, 6), np.nan)
-        return cls(unknown, unknown.copy(), np.full(images, UNKNOWN_ID, np.int64))
+        return cls(unknown, unknown.copy(), np.full(images, UNKNOWN_ID, np.int64), {})
+
+    @classmethod
+    def join(cls, parts: Sequence[ImageLabels]) -> ImageLabels:
+        """Join labels; columns that a part lacks are unknown there."""
+        poses, moves, ids = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        counts = [len(part.pose_ids) for part in parts]
+        return cls(poses, moves, ids, join_columns([part.others for part in parts], counts))
+
+    @property
+    def are_known(self) -> bool:
+        """Whether any image has any label."""
+        is_known = np.isfinite(self.poses).any() or np.isfinite(self.moves).any()
+        return bool(is_known or (self.pose_ids != UNKNOWN_ID).any() or self.others)
 
 
-def read_table(file: Path) -> LabelTable:
-    """Read a table. Raises UserError, by file and row, for what is no table of text."""
-    lines = _read_lines(file)
-    heading = min(lines)
-    columns = tuple(lines.pop(heading))
-    repeated = next((name for name in columns if name and columns.count(name) > 1), None)
-    if repeated is not None:
-        text = f"the heading names column {_format_cell(repeated)} twice"
-        raise _make_error(file, text, heading)
-    width, rows, uneven = len(columns), {}, {}
-    for number, cells in lines.items():
-        if len(cells) == width:
-            rows[number] = dict(zip(columns, cells, strict=True))
-        else:
-            uneven[number] = len(cells)
-    return LabelTable(file, columns, rows, uneven)
+def join_columns(
+    parts: Sequence[Mapping[str, np.ndarray]], counts: Sequence[int]
+) -> dict[str, np.ndarray]:
+    """Join columns by name, of `counts` rows each; they are NaN where a part lacks them."""
+    unknown = [np.full(count, np.nan) for count in counts]
+    columns = {}
+    for name in dict.fromkeys(name for part in parts for name in part):
+        own = [part.get(name, rows) for part, rows in zip(parts, unknown, strict=True)]
+        columns[name] = np.concatenate(own)
+    return columns
 
 
-def _read_lines(file: Path) -> dict[int, list[str]]:
-    """Read the cells of the lines of a CSV file that are not blank: one at least, or UserError."""
-    try:
-        data = file.read_bytes()
-        text = data.decode("utf-8-sig")
-    except OSError as error:
-        raise _make_error(file, f"cannot be read ({error.strerror or error})") from None
-    except UnicodeDecodeError as error:
-        row = data.count(b"\n", 0, error.start) + 1
-        remedy = "this is not UTF-8 text: save the table as CSV in UTF-8"
-        raise _make_error(file, remedy, row) from None
-    reader = csv.reader(io.StringIO(text, newline=""))
-    lines: dict[int, list[str]] = {}
-    number = 1
-    try:
-        for cells in reader:
-            if any(cell.strip() for cell in cells):
-                lines[number] = [cell.strip() for cell in cells]
-            number = reader.line_num + 1
-    except csv.Error as error:
-        raise _make_error(file, f"this is not CSV ({error})", number) from None
-    if not lines:
-        raise _make_error(file, "is empty")
-    return lines
+def normalise_text(text: str) -> str:
+    """Return a name in the one form of Unicode in which names are compared."""
+    return unicodedata.normalize("NFC", text)
+
+
+def normalise_name(path: str) -> str:
+    """Return the name of a file without its folders, to compare it with others."""
+    return normalise_text(re.split(r"[/\\]", path)[-1])
 
 
 def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, list[LabelProblem]]:
@@ -125,13 +91,11 @@ def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, 
 
     Raises UserError if the table names no images.
     """
-    column = next((name for name in IMAGE_COLUMNS if name in table.columns), None)
-    if column is None:
-        text = f"has no column {' or '.join(IMAGE_COLUMNS)}: its poses are not used"
-        raise _make_error(table.file, text, 1)
-    numbers_by_name, problems = _index_rows(table, column, set(names))
-    numbers = [numbers_by_name.get(name) for name in names]
-    if missing := [name for name, number in zip(names, numbers, strict=True) if number is None]:
+    column = _find_image_column(table, names)
+    numbers_by_name, problems = _index_rows(table, column, names)
+    numbers = [numbers_by_name.get(normalise_name(name)) for name in names]
+    unlabelled = [name for name, number in zip(names, numbers, strict=True) if number is None]
+    if missing := [name for name in unlabelled if not _is_reference(name)]:
         text = (
             f"has no row for {len(missing)} of {len(names)} images, "
             f"the first {missing[0]}: poses unknown"
@@ -140,20 +104,43 @@ def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, 
     poses, bad_poses = _read_six(table, numbers, POSE_COLUMNS, "pose")
     moves, bad_moves = _read_six(table, numbers, MOVE_COLUMNS, "slide")
     ids, bad_ids = _read_pose_ids(table, numbers)
-    return ImageLabels(poses, moves, ids), problems + bad_poses + bad_moves + bad_ids
+    others = _read_others(table, numbers)
+    return ImageLabels(poses, moves, ids, others), problems + bad_poses + bad_moves + bad_ids
+
+
+def _is_reference(name: str) -> bool:
+    return Path(name).stem.lower() == REFERENCE
+
+
+def _find_image_column(table: LabelTable, names: Sequence[str]) -> str:
+    """Find the column that names images: by its own name, or by what is in its cells."""
+    known = {normalise_name(name) for name in names}
+
+    def count_names(column: str) -> int:
+        return sum(normalise_name(row[column]) in known for row in table.rows.values())
+
+    column = next((name for name in IMAGE_COLUMNS if name in table.columns), None)
+    column = column or max(table.columns, key=count_names)
+    if column not in IMAGE_COLUMNS and not count_names(column):
+        text = f"has no column {' or '.join(IMAGE_COLUMNS)}, nor one that names these images"
+        raise make_table_error(table.file, f"{text}: its poses are not used", table.heading)
+    return column
 
 
 def _index_rows(
-    table: LabelTable, column: str, names: set[str]
+    table: LabelTable, column: str, names: Sequence[str]
 ) -> tuple[dict[str, int], list[LabelProblem]]:
     """Return the row of each image, without images of which two rows differ, and the problems."""
+    known = {normalise_name(name) for name in names}
     numbers: dict[str, int] = {}
     absent, repeated, ambiguous = dict[int, str](), dict[int, str](), set[str]()
     for number, cells in table.rows.items():
-        name = re.split(r"[/\\]", cells[column])[-1]
+        name = normalise_name(cells[column])
+        if _is_reference(name):
+            continue
         first = numbers.setdefault(name, number)
-        if name not in names:
-            absent[number] = f"there is no image {_format_cell(name)} in this folder"
+        if name not in known:
+            absent[number] = f"there is no image {format_cell(name)} in this folder"
         elif cells != table.rows[first]:
             repeated[number] = f"{name} has another row, {first}, that differs: neither is used"
             ambiguous.add(name)
@@ -185,24 +172,88 @@ def _read_six(
     namings: tuple[tuple[str, ...], ...],
     what: str,
 ) -> tuple[np.ndarray, list[LabelProblem]]:
-    """Read six columns (N, 6) by the naming of the file; a row is NaN unless it has all six."""
-    values, bad = np.full((len(numbers), 6), np.nan), dict[int, str]()
-    names = max(namings, key=lambda naming: len(set(table.columns).intersection(naming)))
-    absent = [name for name in names if name not in table.columns]
-    if absent:
-        text = f"has no column {', '.join(absent)}: {what}s are not known"
-        return values, [LabelProblem.with_place(table.file, text)]
+    """Read six columns (N, 6) by the naming of the file; a row is NaN unless it has all it can.
+
+    What no row has is 0, as a robot of four axes does not turn about x and y.
+    """
+    values, bad = np.zeros((len(numbers), 6)), dict[int, str]()
+    columns, absent = _find_six(table, namings)
+    if not columns:
+        text = f"has no column {', '.join(absent.values())}: {what}s are not known"
+        return np.full_like(values, np.nan), [LabelProblem.with_place(table.file, text)]
     for i, number in enumerate(numbers):
         if number is None:
+            values[i] = np.nan
             continue
         cells = table.rows[number]
-        row = {name: _parse_number(cells[name]) for name in names}
-        if wrong := [name for name, value in row.items() if value is None]:
-            cell = _format_cell(cells[wrong[0]])
+        row = {axis: _parse_label(cells[name]) for axis, name in columns.items()}
+        if wrong := [columns[axis] for axis, value in row.items() if value is None]:
+            cell = format_cell(cells[wrong[0]])
             bad[number] = f"{wrong[0]} is {cell}, no usable number: this {what} is unknown"
+            values[i] = np.nan
         else:
-            values[i] = list(row.values())
-    return values, _summarise_problems(table, bad)
+            values[i, list(row)] = list(row.values())
+    problems = _summarise_problems(table, bad) + _find_unit_problems(table, values, what)
+    if absent:
+        axes = ", ".join(AXES[axis] for axis in absent)
+        text = f"has no column {', '.join(absent.values())}: {axes} of each {what} is taken as 0"
+        problems.append(LabelProblem.with_place(table.file, text))
+    return values, problems
+
+
+def _find_six(
+    table: LabelTable, namings: tuple[tuple[str, ...], ...]
+) -> tuple[dict[int, str], dict[int, str]]:
+    """Find the columns of the axes, in the naming of the file, and the names of those it lacks.
+
+    A column without any number is lacking; without any such column all of them are.
+    """
+    by_name = {name.lower(): name for name in reversed(table.columns)}
+    names = max(namings, key=lambda naming: len({*map(str.lower, naming)} & by_name.keys()))
+    columns, absent = dict[int, str](), dict[int, str]()
+    for axis, name in enumerate(names):
+        column = by_name.get(name.lower())
+        has_cells = column and any(
+            row[column].lower() not in ("", "nan") for row in table.rows.values()
+        )
+        if column and (has_cells or not table.rows):
+            columns[axis] = column
+        else:
+            absent[axis] = name
+    return columns, absent
+
+
+def _find_unit_problems(table: LabelTable, values: np.ndarray, what: str) -> list[LabelProblem]:
+    """Find labels (N, 6) that vary as those in metres or radians do."""
+    problems = []
+    limits = ("positions", "mm", "metres", METRES), ("angles", "degrees", "radians", RADIANS[what])
+    for columns, (name, unit, other, limit) in zip((slice(3), slice(3, 6)), limits, strict=True):
+        span = compute_span(values[:, columns])
+        if NO_VARIATION < span < limit:
+            text = f"{name} of {what}s vary by {span:.3g} at most, but are to be in {unit}"
+            text += f": convert them if they are in {other}"
+            problems.append(LabelProblem.with_place(table.file, text))
+    return problems
+
+
+def compute_span(values: np.ndarray) -> float:
+    """Compute how far the column of (N, K) that varies most does; 0 if too few rows are known."""
+    known = values[np.isfinite(values).all(axis=1)]
+    return float(np.ptp(known, axis=0).max()) if len(known) >= MIN_RANGED else 0.0
+
+
+def _read_others(table: LabelTable, numbers: Sequence[int | None]) -> dict[str, np.ndarray]:
+    """Read the other columns (N,) with numbers, as forces and torques."""
+    own = {name.lower() for naming in (*POSE_COLUMNS, *MOVE_COLUMNS) for name in naming}
+    others = {}
+    for column in table.columns:
+        if not column or column.lower() in (*own, "pose_id"):
+            continue
+        cells = [None if number is None else table.rows[number][column] for number in numbers]
+        values = np.array([_parse_label(cell) if cell else None for cell in cells], float)
+        if np.isfinite(values).any():
+            others[column] = values
+    return others
 
 
 def _read_pose_ids(
@@ -213,24 +264,20 @@ def _read_pose_ids(
         cell = "" if number is None else table.rows[number].get("pose_id", "")
         if number is None or not cell:
             continue
-        pose_id = _parse_number(cell, MAX_POSE_ID)
+        pose_id = _parse_label(cell, MAX_POSE_ID)
         if pose_id is None or pose_id < 0 or pose_id % 1:
-            bad[number] = f"pose_id is {_format_cell(cell)}, not an integer"
+            bad[number] = f"pose_id is {format_cell(cell)}, not an integer"
         else:
             ids[i] = int(pose_id)
     return ids, _summarise_problems(table, bad)
 
 
-def _parse_number(cell: str, limit: float = MAX_LABEL) -> float | None:
+def _parse_label(cell: str, limit: float = MAX_LABEL) -> float | None:
     try:
-        number = float(cell)
+        number = parse_number(cell)
     except ValueError:
         return None
     return number if abs(number) < limit else None
-
-
-def _format_cell(cell: str) -> str:
-    return ascii(cell[:30]) if cell else "empty"
 
 
 class ImagePair(NamedTuple):
@@ -250,23 +297,25 @@ def read_pair_table(file: str | Path) -> list[ImagePair]:
     for name in ImagePair._fields:
         if name not in table.columns:
             text = f"there is no column '{name}': pairs need the columns slide and tap"
-            raise _make_error(table.file, text, 1)
+            raise make_table_error(table.file, text, table.heading)
     if table.uneven:
         number, cells = next(iter(table.uneven.items()))
         text = f"{cells} cells where the heading has {len(table.columns)}"
-        raise _make_error(table.file, text, number)
+        raise make_table_error(table.file, text, number)
     if not table.rows:
-        raise _make_error(table.file, "names no pairs: give a row for each slide, with its tap")
+        raise make_table_error(
+            table.file, "names no pairs: give a row for each slide, with its tap"
+        )
     first: dict[str, int] = {}
     pairs = []
     for number, row in table.rows.items():
-        pair = ImagePair(row["slide"], row["tap"])
+        pair = ImagePair(normalise_text(row["slide"]), normalise_text(row["tap"]))
         if not pair.slide or not pair.tap:
             text = f"the {'tap' if pair.slide else 'slide'} is not named"
-            raise _make_error(table.file, text, number)
+            raise make_table_error(table.file, text, number)
         if pair.slide in first:
             text = f"{pair.slide} has a tap already, in row {first[pair.slide]}"
-            raise _make_error(table.file, text, number)
+            raise make_table_error(table.file, text, number)
         first[pair.slide] = number
         pairs.append(pair)
     return pairs

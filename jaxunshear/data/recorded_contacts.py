@@ -8,6 +8,7 @@ Imports no JAX.
 """
 
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,12 +17,13 @@ import numpy as np
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.splits import SPLITS, hash_text
-from jaxunshear.data.labels import read_pair_table
+from jaxunshear.data.labels import compute_span, join_columns, normalise_text, read_pair_table
 from jaxunshear.data.recorded_splits import cut_block, read_folder_split, split_by_folders
 from jaxunshear.data.recordings import Recordings, read_recordings
 from jaxunshear.errors import UserError
 
 MIN_MOVE = 1e-6  # mm or deg: labels of a move below this are of a tap
+MAX_SPAN_RATIO = 40.0  # of taps' and slides' poses; a radian is 57 degrees
 DIGITS = 16  # of a digest
 PAIRS_PREFIX = "p"
 KINDS = {False: "tap", True: "slide"}  # by `is_slide`
@@ -40,6 +42,7 @@ class RecordedContacts(NamedTuple):
     pose_id: np.ndarray  # (N,) -1 where unknown
     is_slide: np.ndarray  # (N,) bool
     split: np.ndarray  # (N,) index into SPLITS
+    others: Mapping[str, np.ndarray]  # further columns (N,) of the tables by name
     notes: tuple[str, ...]
     paired_by_table: bool = False  # `pose_id` then numbers the taps of the table
 
@@ -53,6 +56,7 @@ class RecordedContacts(NamedTuple):
             pose_id=self.pose_id[rows],
             is_slide=self.is_slide[rows],
             split=self.split[rows],
+            others={name: values[rows] for name, values in self.others.items()},
         )
 
 
@@ -83,8 +87,21 @@ def read_test_contacts(settings: Recorded) -> RecordedContacts:
         parts.append(_select_taps(read_folder(taps, settings.preprocess)))
     if slides and taps != slides:
         parts.append(_make_contacts(read_folder(slides, settings.preprocess), is_slide=True))
-    contacts = _join_contacts(parts)
+    contacts = _note_other_units(_join_contacts(parts))
     return _pair_by_table(contacts, Path(settings.pairs)) if settings.pairs else contacts
+
+
+def _note_other_units(contacts: RecordedContacts) -> RecordedContacts:
+    """Note poses of taps that vary by so much more or less than the slides' as other units do."""
+    notes = []
+    for columns, name in ((slice(3), "positions in mm"), (slice(3, 6), "angles in degrees")):
+        spans = [compute_span(contacts.pose[contacts.is_slide == kind, columns]) for kind in KINDS]
+        if min(spans) > MIN_MOVE and max(spans) > MAX_SPAN_RATIO * min(spans):
+            notes.append(
+                f"poses of taps and of slides are to be {name}, but those of taps vary by "
+                f"{spans[0]:.3g} and those of slides by {spans[1]:.3g}: are their units the same?"
+            )
+    return contacts._replace(notes=(*contacts.notes, *notes))
 
 
 def read_folder(folder: str, preprocess: Preprocess) -> Recordings:
@@ -140,6 +157,7 @@ def _make_contacts(recordings: Recordings, is_slide: bool = False) -> RecordedCo
         pose_id=np.full(count, -1) if recordings.pose_ids is None else recordings.pose_ids,
         is_slide=np.full(count, is_slide),
         split=np.full(count, SPLITS.index("test")),
+        others=recordings.others,
         notes=tuple(recordings.notes),
     )
 
@@ -203,11 +221,15 @@ def _draw_split_keys(contacts: RecordedContacts, seed: int) -> np.ndarray:
 
 
 def _join_contacts(parts: list[RecordedContacts]) -> RecordedContacts:
-    """Join contacts, their pose numbers as ranks among all; equal notes become one."""
+    """Join contacts, their pose numbers as ranks among all; equal notes become one.
+
+    Other columns than poses and moves are kept if they vary.
+    """
     numbers = np.unique(np.concatenate([part.pose_id for part in parts]))
     pose_ids = [
         np.where(part.pose_id < 0, -1, np.searchsorted(numbers, part.pose_id)) for part in parts
     ]
+    others = join_columns([part.others for part in parts], [len(part.files) for part in parts])
     return RecordedContacts(
         files=tuple(file for part in parts for file in part.files),
         names=tuple(name for part in parts for name in part.names),
@@ -216,6 +238,11 @@ def _join_contacts(parts: list[RecordedContacts]) -> RecordedContacts:
         pose_id=np.concatenate(pose_ids),
         is_slide=np.concatenate([part.is_slide for part in parts]),
         split=np.concatenate([part.split for part in parts]),
+        others={
+            name: values
+            for name, values in others.items()
+            if len(np.unique(values[np.isfinite(values)])) > 1
+        },
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )
 
@@ -225,19 +252,19 @@ def _pair_by_table(contacts: RecordedContacts, table: Path) -> RecordedContacts:
 
     Raises UserError by file and row.
     """
-    rows: dict[bool, dict[str, int]] = {is_slide: {} for is_slide in KINDS}
-    for row, name in enumerate(contacts.names):
-        rows_of_kind = rows[bool(contacts.is_slide[row])]
-        rows_of_kind[name] = rows_of_kind[name.rpartition("/")[2]] = row
+    rows: dict[bool, dict[str, set[int]]] = {is_slide: {} for is_slide in KINDS}
+    for row, name in enumerate(map(normalise_text, contacts.names)):
+        for each in (name, name.rpartition("/")[2]):
+            rows[bool(contacts.is_slide[row])].setdefault(each, set()).add(row)
     pose_id, pose = np.full(len(contacts.names), -1), contacts.pose.copy()
     for number, pair in enumerate(read_pair_table(table), 2):
         for is_slide, name in ((True, pair.slide), (False, pair.tap)):
-            if name not in rows[is_slide]:
-                raise UserError(
-                    f"{table}, row {number}: there is no {KINDS[is_slide]} {name} "
-                    "in these recordings"
-                )
-        slide, tap = rows[True][pair.slide], rows[False][pair.tap]
+            found = len(rows[is_slide].get(name, ()))
+            if found != 1:
+                many = f"there are {found} {KINDS[is_slide]}s {name}: name their folders, too,"
+                text = many if found else f"there is no {KINDS[is_slide]} {name}"
+                raise UserError(f"{table}, row {number}: {text} in these recordings")
+        (slide,), (tap,) = rows[True][pair.slide], rows[False][pair.tap]
         pose_id[slide] = pose_id[tap] = tap
         if not np.isfinite(pose[slide]).all():
             pose[slide] = pose[tap]
@@ -257,8 +284,8 @@ def compute_digest(folders: tuple[str, ...], pairs: str = "") -> str:
     for folder in dict.fromkeys(folders):
         digest, recordings = hashlib.sha256(), read_folder(folder, Preprocess())
         for file, name in zip(recordings.files, recordings.names, strict=True):
-            digest.update(f"{name} {file.stat().st_size}\n".encode())
-        for table in sorted(Path(folder).rglob("*.csv")):
+            digest.update(f"{name} {file.stat(follow_symlinks=file.exists()).st_size}\n".encode())
+        for table in sorted(Path(folder).rglob("*.[ct]sv")):
             digest.update(table.read_bytes())
         parts.append(digest.hexdigest()[:DIGITS])
     if pairs and Path(pairs).is_file():

@@ -187,6 +187,7 @@ def summarise_recordings(
             "white": [round(float(q), 6) for q in np.quantile(white[usable], (0.01, 0.5, 0.99))],
         },
         "notes": list(contacts.notes),
+        "others": list(contacts.others),
     }
     return counts, description
 
@@ -219,11 +220,13 @@ def iterate_examples(
 ) -> Iterator[tuple[str, dict]]:
     """Iterate over (key, example) of every readable frame of a split."""
     in_split = contacts.split == SPLITS.index(split)
+    others = stack_others(contacts)
     for contact in iterate_usable_rows(paths, in_split):
         row = contact.row
         example = {
             "image": contact.encode_png(settings.preprocess.size),
             "pins": contact.get("pins").astype(np.float32),
+            **({"others": others[row]} if contacts.others else {}),
             "sure": int(contact.get("sure")),
             "slid": int(contacts.is_slide[row]),
             "pose": contacts.pose[row].astype(np.float32),
@@ -232,6 +235,12 @@ def iterate_examples(
             "number": row,
         }
         yield f"{row:08d}", example
+
+
+def stack_others(contacts: RecordedContacts) -> np.ndarray:
+    """Stack the further columns of the tables as (N, K) float32."""
+    columns = [values.astype(np.float32) for values in contacts.others.values()]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(contacts.files), 0), np.float32)
 
 
 class UnstoredSet:
@@ -249,6 +258,7 @@ class UnstoredSet:
             "move": contacts.move[usable].astype(np.float32),
             "pose_id": contacts.pose_id[usable].astype(np.int32),
             "number": np.flatnonzero(usable).astype(np.int32),
+            "others": stack_others(contacts)[usable],
         }
         share = round(float(identified[usable].mean()), 6) if usable.any() else 0.0
         self.metadata: Json = {
@@ -256,6 +266,7 @@ class UnstoredSet:
             "frame": frame,
             "pins": {"sure": share},
             "notes": list(contacts.notes),
+            "others": list(contacts.others),
         }
 
     def rows(self, split: str) -> Batch:

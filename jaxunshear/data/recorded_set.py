@@ -13,6 +13,7 @@ from jaxunshear.config.data import RENDERED_PAIRINGS, Recorded
 from jaxunshear.config.splits import SPLITS, hash_text
 from jaxunshear.config.targets import (
     Targets,
+    list_column_names,
     list_slide_names,
     make_label_targets,
     make_move_targets,
@@ -27,17 +28,23 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.lattice import Lattice, make_lattice
 
-CONTACT_FIELDS = ("pose", "move", "sure", "number", "pose_id", "stimulus")
+CONTACT_FIELDS = ("pose", "move", "others", "sure", "number", "pose_id", "stimulus")
 
 
 class RecordedSet:
     """Reads taps, slides and pairs from a recorded set.
 
-    `seed` draws which slides are labelled, if not all are.
+    `seed` draws which slides are labelled, if not all are; `targets` say what a label is.
     """
 
-    def __init__(self, settings: Recorded, stored: SetReader | UnstoredSet, seed: int = 0) -> None:
-        self.seed = seed
+    def __init__(
+        self,
+        settings: Recorded,
+        stored: SetReader | UnstoredSet,
+        seed: int = 0,
+        targets: tuple[str, ...] = (),
+    ) -> None:
+        self.seed, self._targets = seed, targets
         self.settings, self.stored, self.metadata = settings, stored, stored.metadata
         self.size = settings.preprocess.size
 
@@ -45,6 +52,11 @@ class RecordedSet:
     def frame(self) -> Json:
         """What the sensor's frames have in common; see `sensor_frame.SensorFrame`."""
         return self.metadata["frame"]
+
+    @property
+    def columns(self) -> list[str]:
+        """The names of the further columns of the tables, as in `others`."""
+        return self.metadata.get("others", [])
 
     def make_lattice(self) -> Lattice:
         """Make the lattice, px of the prepared image."""
@@ -65,7 +77,8 @@ class RecordedSet:
                     "but no label of their slide"
                 )
         labels = self.stored.rows("train")
-        return make_label_targets(names, labels["pose"], labels["move"])
+        others = {name: labels["others"][:, i] for i, name in enumerate(self.columns)}
+        return make_label_targets(names, labels["pose"], labels["move"], others)
 
     def make_slide_targets(self) -> Targets:
         """Make the targets of what varies in the moves of training slides."""
@@ -86,7 +99,7 @@ class RecordedSet:
     def read_labelled_taps(self, split: str) -> Batch:
         """Read all labelled taps of a split, images at one bit a pixel."""
         rows = self._select(split, is_slide=False)
-        return pairing.take_rows(rows, np.isfinite(rows["pose"]).all(axis=1))
+        return pairing.take_rows(rows, self._has_label(rows))
 
     def read_slides(self, simulate: SlideSimulator | None = None, images: bool = True) -> Reader:
         """Read labelled slides without partners.
@@ -161,7 +174,7 @@ class RecordedSet:
     ) -> Batch:
         """Select the slides of a split that have a label, or get one by `estimate`."""
         rows = self._select(split, is_slide=True)
-        has_label = np.isfinite(rows["pose"]).all(axis=1)
+        has_label = self._has_label(rows)
         if split != "test":
             has_label &= self._is_labelled(rows)
         if estimate and split == "train":
@@ -170,6 +183,16 @@ class RecordedSet:
             pose[~has_label] = estimate(unpacked, rows["pins"][~has_label])
             return _rename_as_slides(rows | {"pose": pose})
         return _rename_as_slides(pairing.take_rows(rows, has_label))
+
+    def _has_label(self, rows: Batch) -> np.ndarray:
+        """Return which contacts (N,) have the labels of all targets, or else a pose."""
+        has_pose = np.asarray(np.isfinite(rows["pose"]).all(axis=1))
+        names = list_column_names(self._targets)
+        if not names:
+            return has_pose
+        own = [i for i, name in enumerate(self.columns) if name in names]
+        has_columns = np.asarray(np.isfinite(rows["others"][:, own]).all(axis=1))
+        return has_columns if len(names) == len(self._targets) else has_columns & has_pose
 
     def _is_labelled(self, rows: Batch) -> np.ndarray:
         """Return which contacts (N,) are in the share whose labels are used.
@@ -207,7 +230,7 @@ class RecordedSet:
 
 
 def _rename_as_slides(contacts: Batch) -> Batch:
-    batch = {name: contacts[name] for name in CONTACT_FIELDS}
+    batch = {name: contacts[name] for name in CONTACT_FIELDS if name in contacts}
     return batch | {"sheared": contacts["image"], "sheared_pins": contacts["pins"]}
 
 

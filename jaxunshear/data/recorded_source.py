@@ -63,7 +63,8 @@ class RecordedSource(DataSource):
         from jaxunshear.data.stored_sets import open_set
 
         used, experiment = cast(Recorded, settings or self.settings), self.experiment
-        return RecordedSet(used, open_set(used, data_dir, experiment.sensor), experiment.seed)
+        stored = open_set(used, data_dir, experiment.sensor)
+        return RecordedSet(used, stored, experiment.seed, experiment.targets)
 
     def open_examples(self, config: NetworkConfig, data_dir: Path, helpers: Helpers) -> Examples:
         stored = self.open_stored(data_dir, config.source)

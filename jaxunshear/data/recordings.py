@@ -1,9 +1,10 @@
 """Read real recordings as they lie on disk, and prepare their frames like simulated ones.
 
 These layouts can be read: one image; a folder of images; the older layout (`images/`,
-`targets.csv`), its variant (`frames_bw/`), and the newer one
-(`{train,val,test}/processed_images/`, `targets.csv`); and folders of these. JSON beside them is not
-read. What is broken and not needed is noted, not fatal. Imports no JAX until a frame is prepared.
+`targets.csv`), its variant (`frames_bw/`), and the newer ones
+(`{train,val,test}/processed_images/`, `targets.csv`; `tactile_images/`); and folders of these. JSON
+beside them is not read. What is broken and not needed is noted, not fatal. Imports no JAX until a
+frame is prepared.
 
     recordings = read_recordings("recordings/edge", Preprocess(size=128))
     for row, name, image in recordings.iterate_frames():  # image (S, S) uint8 of {0, 255}
@@ -17,7 +18,7 @@ import io
 import os
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -26,22 +27,20 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from jaxunshear.config.sensor import Preprocess
-from jaxunshear.data.labels import (
-    TABLES,
-    UNKNOWN_ID,
-    ImageLabels,
-    LabelProblem,
-    read_table,
-    read_targets,
-)
+from jaxunshear.data.labels import UNKNOWN_ID, ImageLabels, read_targets
+from jaxunshear.data.tables import LabelProblem, list_files, list_tables, read_table
 from jaxunshear.errors import UserError, get_first_line
+from jaxunshear.files import explain_no_content
 
 if TYPE_CHECKING:
     from jaxunshear.perception.preprocess import View
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"}
 # Folders that hold a recording's images, the most processed first: the first with any is read.
-IMAGE_FOLDERS = ("processed_images", "frames_bw", "images", "frames", "sensor_images")
+IMAGE_FOLDERS = (
+    *("processed_images", "frames_bw", "images", "frames"),
+    *("sensor_images", "tactile_images"),
+)
 PNG = b"\x89PNG\r\n\x1a\n"  # how its files start
 # TIFF's tags: 0 for white at zero; 1 for numbers without a sign
 PHOTOMETRIC, SAMPLE_FORMAT = 262, 339
@@ -64,7 +63,8 @@ class Recordings:
     """What lies at `path`: N images, in order, that `iterate_frames` loads one at a time.
 
     `poses` and `moves` (N, 6) in mm and degrees, NaN in rows that are not labelled, or None if no
-    row is. `pose_ids` (N,) int64, -1 where unknown, or None likewise. `notes` says in a line each
+    row is. `pose_ids` (N,) int64, -1 where unknown, or None likewise. `others` are further columns
+    (N,) of numbers by name, as forces, NaN where unknown. `notes` says in a line each
     what is wrong, by file and row (`LabelProblem` where these are known); images that turn out to
     be unreadable, or unlike the others, are added while `iterate_frames` runs.
     """
@@ -76,6 +76,7 @@ class Recordings:
     moves: np.ndarray | None
     notes: list[str] = field(default_factory=list)
     pose_ids: np.ndarray | None = None
+    others: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.files)
@@ -165,7 +166,10 @@ def read_image(file: Path | bytes) -> np.ndarray:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of broken tags: the image is read without them
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            return _decode_image(file if isinstance(file, bytes) else file.read_bytes())
+            data = file if isinstance(file, bytes) else file.read_bytes()
+            if reason := explain_no_content(data):
+                raise UserError(reason)
+            return _decode_image(data)
     except UserError:
         raise
     except Exception as error:  # decoders meet broken files with errors of every kind
@@ -235,7 +239,7 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
             f"{path} holds no images ({', '.join(sorted(SUFFIXES))}), "
             "nor a known layout of recordings"
         )
-    joined = ImageLabels(*map(np.concatenate, zip(*labels, strict=True)))
+    joined = ImageLabels.join(labels)
     return Recordings(
         path,
         preprocess,
@@ -244,6 +248,7 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
         joined.moves if np.isfinite(joined.moves).any() else None,
         notes,
         joined.pose_ids if (joined.pose_ids != UNKNOWN_ID).any() else None,
+        joined.others,
     )
 
 
@@ -262,6 +267,7 @@ def _find_image_folders(
             yield _ImageFolder(folder, images)
             return
     parents |= {folder.resolve()}
+    notes += _list_unread_tables(folder)
     for subfolder in _list_folders(folder) if depth else ():
         if subfolder.resolve() in parents:
             continue
@@ -295,26 +301,39 @@ def _list_images(folder: Path) -> list[Path]:
         parts = re.split(r"(\d+)", path.name)
         return [int(part) if part.isdecimal() else part for part in parts]
 
-    images = [
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
-    ]
+    images = [path for path in list_files(folder) if path.suffix.lower() in SUFFIXES]
     return sorted(images, key=split_at_numbers)
 
 
 def _read_labels(folder: Path, images: list[Path], notes: list[str]) -> ImageLabels:
-    """Read the labels of a folder's images from its table, the first that can be read."""
-    for file in (folder / name for name in TABLES):
-        if file.is_file():
-            try:
-                labels, problems = read_targets(read_table(file), [image.name for image in images])
-            except UserError as error:
-                notes.append(error.args[0])
-                continue
-            notes += problems
+    """Read the labels of a folder's images from its table, the first that has any."""
+    names = [image.name for image in images]
+    places = dict.fromkeys((folder, images[0].parent))
+    for file in (file for place in places for file in list_tables(place)):
+        try:
+            labels, problems = read_targets(read_table(file), names)
+        except UserError as error:
+            notes.append(error.args[0])
+            continue
+        notes += problems
+        if labels.are_known:
             return labels
     return ImageLabels.make_unknown(len(images))
+
+
+def _list_unread_tables(folder: Path) -> list[str]:
+    """List in a note each the tables in a folder without images, but for tables of pairs."""
+    notes: list[str] = []
+    for file in list_tables(folder):
+        with contextlib.suppress(UserError):  # whatever it is, it is not read
+            if {"slide", "tap"} <= set(read_table(file).columns):
+                continue
+        text = (
+            "is not read: a table lies beside its images, or beside the folder of its images if "
+            f"that is called {', '.join(IMAGE_FOLDERS[:-1])} or {IMAGE_FOLDERS[-1]}"
+        )
+        notes.append(LabelProblem.with_place(file, text))
+    return notes
 
 
 def _format_sizes(names: dict[tuple[int, ...], list[str]]) -> str:

@@ -20,7 +20,7 @@ import numpy as np
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import POSENET, POSENETS
-from jaxunshear.config.targets import Targets
+from jaxunshear.config.targets import Targets, list_label_fields, locate_targets
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_contacts import compute_digest, read_test_contacts
 from jaxunshear.data.recorded_frames import prepare_chunks
@@ -118,8 +118,9 @@ def score_recordings(
     contacts, stored_frame = read_test_contacts(settings), read_object(run_dir / FRAME)
     frame = parse_frame(stored_frame)
     paths = prepare_chunks(contacts, settings, frame, folder, f"read {settings.slide_folder}")
-    stored = RecordedSet(settings, UnstoredSet(contacts, paths, stored_frame))
-    targets = read_targets(run_dir / experiment.networks[-1])
+    unstored = UnstoredSet(contacts, paths, stored_frame)
+    stored = RecordedSet(settings, unstored, targets=experiment.targets)
+    targets = locate_targets(read_targets(run_dir / experiment.networks[-1]), stored.columns)
     unseen = dataclasses.replace(experiment, paired=settings)
     test = _choose_test(unseen, stored, targets, run_dir)
     scorer = _load_scorer(unseen, run_dir, stored, targets)
@@ -238,6 +239,7 @@ def _score_split(
     if not len(rows):
         return None
     labels = TAP_LABELS if paired is None else SLIDE_LABELS
+    labels = tuple(dict.fromkeys((*labels, *list_label_fields(scorer.targets))))
 
     def read_batch(start: int) -> Batch:
         fields = (*dict.fromkeys(sources.values()), *labels)

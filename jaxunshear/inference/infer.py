@@ -3,19 +3,21 @@
 >>> unshear_recordings(Path("recordings/edge"), Path("runs/demo"), Path("unsheared"))
 """
 
+import os
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
+from itertools import count as count_from
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.code_version import read_source
-from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
+from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS, get_unit
 from jaxunshear.data.recordings import RecordedFrame, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, format_csv, write_bytes, write_text
@@ -33,6 +35,7 @@ from jaxunshear.results.provenance import describe_machine, list_versions
 LABELS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 SAMPLED_FRAMES = 20  # frames by which a folder is judged
 SHOWN_NOTES = 10
+MAX_NAME = 255  # bytes of a file's name
 
 Log = Callable[[str], None]
 Poses = Mapping[str, Mapping[str, float]]  # of one image, by kind of input and quantity
@@ -130,7 +133,7 @@ def predict_recordings(
             cells |= _format_poses(pose, f"{kind}_")
             if not result.reason:
                 rows += [
-                    _make_row(f"{result.name}.{kind}.{name}", value, name.split("_")[-1])
+                    _make_row(f"{result.name}.{kind}.{name}", value, get_unit(name))
                     for name, value in pose.items()
                 ]
         table.append(cells | run.format_labels(result))
@@ -249,7 +252,7 @@ class _FolderRun:
             *(_make_row(name, count, "1") for name, count in counts.items()),
             *times,
             *(
-                _make_row(f"pose_mae.{name}", value, name.rpartition("_")[2])
+                _make_row(f"pose_mae.{name}", value, get_unit(name))
                 for name, value in errors.items()
             ),
         ]
@@ -262,6 +265,10 @@ class _FolderRun:
             name: values[self._rows, column]
             for name, (field, column) in (RECORDED_FIELDS | LABELLED_SLIDES).items()
             if name in self._targets and (values := labels[field]) is not None
+        } | {
+            name: values[self._rows]
+            for name, values in self.recordings.others.items()
+            if name in self._targets
         }
         means: dict[str, float] = {}
         if len(true) != len(self._targets) or not self._poses:
@@ -301,11 +308,20 @@ def _sample_images(recordings: Recordings, model: TrainedModel) -> np.ndarray:
 
 
 def _list_png_files(names: tuple[str, ...]) -> list[str]:
-    """List the PNG file of each image; a later one of the same stem keeps its full name."""
-    files: list[str] = []
-    for name in names:
-        file = str(PurePosixPath(name).with_suffix(".png"))
-        files.append(f"{name}.png" if file in files else file)
+    """List the PNG file of each image, its own on file systems that know no capitals, too.
+
+    A PNG keeps its name; another image of its stem, but for capitals, is called as
+    `image_1.jpg.png`, or, where that is too long, by a number.
+    """
+    files, taken = [""] * len(names), set[str]()
+    for row in sorted(range(len(names)), key=lambda row: not names[row].endswith(".png")):
+        name = PurePosixPath(names[row])
+        ways = name.with_suffix(".png"), name.with_name(f"{name.name}.png")
+        for way in chain(ways, (name.with_name(f"{number}.png") for number in count_from(row))):
+            files[row] = str(way)
+            if len(os.fsencode(way.name)) <= MAX_NAME and files[row].casefold() not in taken:
+                break
+        taken.add(files[row].casefold())
     return files
 
 

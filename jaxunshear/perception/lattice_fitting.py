@@ -1,6 +1,5 @@
 """Fit the lattice of a camera's images to them, however the camera frames and turns them."""
 
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +11,7 @@ from scipy.spatial import cKDTree
 from jaxunshear.angles import rotation_2d
 from jaxunshear.config.sensor import Camera, Preprocess, Sensor
 from jaxunshear.errors import UserError
+from jaxunshear.files import read_points
 from jaxunshear.perception.lattice import Lattice, compute_rings, estimate_rings, make_lattice
 from jaxunshear.perception.pin_detection import DetectedPins, find_hull
 from jaxunshear.perception.pin_tracking import track_all
@@ -26,7 +26,6 @@ MIN_PIN_SHARE = 0.7  # of a layout's pins: images that show fewer are not used
 MAX_IMAGES = 60  # images, evenly spaced: more do not change the mean
 GUESS_IMAGES = 10
 MIN_LAYOUT_PINS = 20
-NUMBER = r"(^|[\s,])[-+.]*\d"  # how a number starts in a line, which no heading has
 MIN_TRACKED_SHARE = 0.9  # of the pins, in any image
 MAX_EXTRA_SHARE = 0.1  # detected pins without an identity, over the pins
 
@@ -49,24 +48,12 @@ def make_layout(sensor: Sensor) -> MarkerLayout:
 def read_layout(file: Path) -> MarkerLayout:
     """Read a user's layout: two numbers a line, x and y of a pin in any unit.
 
-    The first line may be a heading. Raises `UserError` by file and line.
+    The first line may be a heading, as `y,x`. Raises `UserError` by file and line.
     """
     try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        flat = np.array(read_points(file)).reshape(-1, 2)
+    except (OSError, ValueError) as error:
         raise UserError(f"--layout {file} cannot be read: {error}") from error
-    rows = []
-    for number, line in enumerate(lines, 1):
-        try:
-            x, y = map(float, line.replace(",", " ").split())
-        except ValueError:
-            if not line.strip() or (number == 1 and not re.search(NUMBER, line)):
-                continue
-            raise UserError(
-                f"--layout {file}, line {number}: '{line.strip()}' is not two numbers, x and y"
-            ) from None
-        rows.append([x, y])
-    flat = np.array(rows).reshape(-1, 2)
     if len(flat) < MIN_LAYOUT_PINS or not np.isfinite(flat).all():
         raise UserError(
             f"--layout {file}: {len(flat)} pins with finite places; "

@@ -2,6 +2,7 @@
 
 from markupsafe import Markup
 
+from jaxunshear.config.targets import get_unit
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.report import html, wording
 from jaxunshear.report.html import format_cells, format_number
@@ -119,9 +120,7 @@ def _describe_differences(results: Results, words: Wording) -> list[Markup]:
     names = words.main_targets
     subjects = {"edge_mm": "mm from the edge"}
     if "edge_mm" not in names:
-        subjects = {
-            name: f"{wording.get_unit(name)} of {wording.name_quantity(name)}" for name in names
-        }
+        subjects = {name: f"{get_unit(name)} of {wording.name_quantity(name)}" for name in names}
     return [
         describe_differences(results, name, subject, 3, -1) for name, subject in subjects.items()
     ]
@@ -133,7 +132,7 @@ def _describe_difference(results: Results, words: Wording, kind: str) -> Markup:
     for name, digits in words.digits.items():
         form = f"+.{digits}f"
         interval = _format_interval(spread[name], form)
-        figure = f"{differences[name]:{form}}{interval} {wording.get_unit(name)}"
+        figure = f"{differences[name]:{form}}{interval} {get_unit(name)}"
         verdict = judge_difference(spread[name], -1) or "within chance"
         quantity = wording.name_quantity(name)
         parts.append(Markup("{} <b>{}</b> ({})").format(quantity, verdict, figure))

@@ -5,7 +5,7 @@ from typing import cast
 from markupsafe import Markup
 
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.config.targets import Target
+from jaxunshear.config.targets import Target, get_unit
 from jaxunshear.evaluation.intervals import ELSEWHERE_NOTE
 from jaxunshear.evaluation.recorded_results import describe_test
 from jaxunshear.report import html, wording
@@ -65,7 +65,7 @@ def _describe_range(target: Target) -> str:
     if target.is_circular:
         return f"{name} over the full circle"
     low, high = target.centre - target.half_range, target.centre + target.half_range
-    return f"{name} {low:.2f} to {high:.2f} {wording.get_unit(target.name)}"
+    return f"{name} {low:.2f} to {high:.2f} {get_unit(target.name)}"
 
 
 def build_pairing_section(results: Results, words: Wording) -> Markup:

@@ -7,6 +7,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from jaxunshear.config.networks import UNSHEARING
+from jaxunshear.config.targets import get_unit
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import write_bytes, write_text
@@ -122,12 +123,12 @@ def _build_error_cards(results: Results, words: Wording) -> Iterator[Markup]:
             notes = [f"at most {bar.bar:g} of the sheared error"]
             ok = bar.is_met(results.pose_ratio[kind][quantity])
         name = QUANTITIES.get(quantity) or wording.name_quantity(quantity)
-        after = f"{after} {wording.get_unit(quantity)}"
+        after = f"{after} {get_unit(quantity)}"
         yield html.card(f"Error in {name}", before, after, ", ".join(notes), ok)
 
 
 def _format_error(value: float | None, quantity: str) -> str:
-    return format_number(value, 2 if wording.get_unit(quantity) == "mm" else 1)
+    return format_number(value, 2 if get_unit(quantity) == "mm" else 1)
 
 
 def _build_pin_cards(results: Results, words: Wording) -> Iterator[Markup]:

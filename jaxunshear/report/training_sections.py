@@ -14,6 +14,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from jaxunshear.config.networks import TRAINABLE
+from jaxunshear.config.targets import get_unit
 from jaxunshear.errors import Note
 from jaxunshear.files import Json, check_and_remove_checksum, to_builtins
 from jaxunshear.progress import format_duration
@@ -82,7 +83,7 @@ def build_times_section(results: Results, words: Wording, trainings: Trainings) 
     # figures of the validation that are plotted over seconds of training
     labels = {"supervised": f"unsheared {words.modality.output}, MSE"}
     for name in words.main_targets:
-        quantity, unit = wording.name_quantity(name), wording.get_unit(name)
+        quantity, unit = wording.name_quantity(name), get_unit(name)
         labels[name] = words.validation_error.format(quantity=quantity, unit=unit)
     for name, label in labels.items():
         curves = {

@@ -13,6 +13,7 @@ from typing import Literal
 from markupsafe import Markup
 
 from jaxunshear.config.networks import DISENTANGLED, REGISTRY, UNSHEARING
+from jaxunshear.config.targets import get_unit
 from jaxunshear.evaluation.recorded_results import describe_test
 from jaxunshear.files import Json
 from jaxunshear.report import html
@@ -158,12 +159,7 @@ def list_main_targets(results: Results) -> list[str]:
 
 def name_quantity(name: str) -> str:
     """Name a quantity without its unit."""
-    return QUANTITIES.get(name) or name.rpartition("_")[0].replace("_", " ")
-
-
-def get_unit(name: str) -> str:
-    """Return the unit in the name of a quantity."""
-    return name.rpartition("_")[2]
+    return QUANTITIES.get(name) or (name.rpartition("_")[0] or name).replace("_", " ")
 
 
 def format_heading(name: str) -> Markup:

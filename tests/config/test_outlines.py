@@ -132,7 +132,7 @@ def test_points_are_read_from_tables_and_lists(tmp_path):
             "has transforms",
         ),
         ("a.svg", SVG.format("", '<path d="M0 0h9v9z"/>').replace("9", "1"), "encloses less"),
-        ("a.csv", "0 0\n1", "must be pairs"),
+        ("a.csv", "0 0\n1", "line 2"),
         ("a.csv", "0 0\n1 up", "a point a line"),
         ("a.json", '{"corners": []}', "list of [x, y]"),
         ("disk.csv", "0 0\n9 0\n9 9", "use another"),

@@ -6,11 +6,10 @@ import pytest
 from jaxunshear.data.labels import (
     MOVE_COLUMNS,
     POSE_COLUMNS,
-    LabelProblem,
     read_pair_table,
-    read_table,
     read_targets,
 )
+from jaxunshear.data.tables import LabelProblem, read_table
 from jaxunshear.errors import UserError
 
 HEADING = ",".join(["sensor_image", "pose_id", *POSE_COLUMNS[0], *MOVE_COLUMNS[0]])

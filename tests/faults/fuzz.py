@@ -18,8 +18,9 @@ from jaxunshear.config.fields import list_field_types, override_fields
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.config.types import check_types
-from jaxunshear.data.labels import read_pair_table, read_table, read_targets
+from jaxunshear.data.labels import read_pair_table, read_targets
 from jaxunshear.data.recordings import read_image, read_recordings
+from jaxunshear.data.tables import read_table
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json
 from tests.faults.outcome import Row, Size, flip_bit

@@ -23,7 +23,7 @@ from jaxunshear.apps.export.parts import (
     make_exported_function,
     measure_difference,
 )
-from jaxunshear.config.targets import list_target_names
+from jaxunshear.config.targets import get_unit, list_target_names
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes
 from jaxunshear.inference.trained_model import TrainedModel, load_model
@@ -155,7 +155,7 @@ def _make_metadata(
         "jaxunshear": __version__,
         "size_px": str(parts.size),
         "names": ",".join(names),
-        "units": ",".join(name.rpartition("_")[2] for name in names),
+        "units": ",".join(get_unit(name) for name in names),
         "pose_of": parts.method,
         "frame_of_poses": model.source.pose_frame,
         "learnt": model.source.describe(),
