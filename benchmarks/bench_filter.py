@@ -100,8 +100,9 @@ def _weave(period_s: np.ndarray) -> np.ndarray:
 
 def _filter(perceived: np.ndarray, factor: float) -> np.ndarray:
     """Filter a walk (T, 2) with `factor` times the drift in use."""
+    # only the ratio of drift and noise counts for how it smooths
     noise = {name: value / factor for name, value in find_noise(NAMES, {}).items()}
-    filtered = []  # only the ratio of drift and noise counts
+    filtered = []
     state: FilterState | None = None
     for frame, pose in enumerate(perceived.tolist()):
         state = update_filter(

@@ -28,7 +28,7 @@ from tests.inputs.cases import Case, run_each
 from tests.recordings import made
 
 TARGETS = make_range_targets(("edge_mm", "depth_mm"), Ranges())
-COUNT = 24  # frames of the folder
+COUNT = 20  # frames of the folder
 PATIENCE = 0.4  # s, in the place of seconds
 
 
@@ -58,7 +58,7 @@ def write_weights(folder):
 def shared(tmp_path_factory):
     """A folder of contacts, and a model that is like them."""
     place = tmp_path_factory.mktemp("streams")
-    folder = made.write(place / "edge", *made.contacts(COUNT, True, 0))
+    folder = made.write(place / "edge", *made.contacts(COUNT, False, 0))
     files = [folder / "images" / f"image_{number + 1}.png" for number in range(COUNT)]
     weights = write_weights(place)
     frames = [np.array(Image.open(file)) for file in files]
