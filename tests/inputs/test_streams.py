@@ -20,6 +20,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PinPoseNet, PinUnshear, UnshearNet
 from jaxunshear.config.sensor import TACTIP_127, Preprocess
 from jaxunshear.config.targets import make_range_targets
+from jaxunshear.data.sensor_frame import parse_frame
 from jaxunshear.data.videos import import_opencv
 from jaxunshear.inference import trained_model
 from tests.helpers.image_files import png_of
@@ -75,6 +76,7 @@ class Door:
 
     def __init__(self, shared, command, monkeypatch, absent, tmp_path):
         self.frames, self.folder, self.weights = shared.frames, shared.folder, shared.weights
+        self.model = shared.model
         self.command, self.absent, self.patch, self.path = command, absent, monkeypatch, tmp_path
 
         def load(name, like=None, force=False):
@@ -193,6 +195,22 @@ def check_twice_the_size(door):
     assert code == 0, said
     # edges of dots differ by how they are resampled
     np.testing.assert_allclose([line["pose"]["edge_mm"] for line in lines], door.poses(), atol=0.15)
+
+
+def check_twice_the_size_as_pose(door):
+    folder = save(map(twice, door.frames), door.path / "large")
+    answer = door.command("pose", folder, "--model", door.weights, "--like", door.folder)
+    assert answer.code == 0 and f"poses of {COUNT} images, 0 left out" in answer.err
+    head, *rows = (line.split(",") for line in answer.out.splitlines())
+    poses = [float(row[head.index("unsheared_edge_mm")]) for row in rows]
+    np.testing.assert_allclose(poses, door.poses(), atol=0.15)
+
+
+def check_stored_crop(door):
+    frame = door.model.frame
+    stored = json.loads(json.dumps(frame.describe()))
+    assert frame.view.frame_px == (made.SIZE, made.SIZE)
+    assert parse_frame(stored).view == frame.view
 
 
 def check_another_shape(door):
@@ -518,6 +536,10 @@ def refuse(source, reason, words):
 CASES = [
     Case("a folder", "stream", "a line each, with the fields of the schema", check_folder),
     Case("frames twice as large as those of --like", "stream", "scaled", check_twice_the_size),
+    Case(
+        "frames twice as large as those of --like", "pose", "scaled", check_twice_the_size_as_pose
+    ),
+    Case("a crop as a run stores it", "Python", "knows its frames' size", check_stored_crop),
     Case("frames wider than those of --like", "stream", "both sizes, 1", check_another_shape),
     Case("a camera by number", "stream", "poses and times", check_camera),
     Case("a camera that doubles its size", "stream", "scaled", check_camera_grows),
