@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import importlib.util
+import os
 import socket
 import sys
 from collections.abc import Iterator
@@ -45,13 +46,13 @@ def stream(arguments: argparse.Namespace, command: str) -> int:
     source, images = Path(arguments.source), arguments.images
     if images == INLINE:
         images = None
-    elif images is not None and source.exists():
+    elif images is not None and os.path.exists(source):
         check_not_among(source, images, "--images")
     check_new_file(arguments.lines, "--lines")
     check_new_folder(images, "--images")
     check_outside(arguments.lines, "--lines")
     check_outside(images, "--images")
-    if arguments.like is None and (source.is_dir() or is_video(source)):
+    if arguments.like is None and (os.path.isdir(source) or is_video(source)):
         arguments.like = source
     summary = apply(_stream, arguments, command)
     return int(bool(summary.lost)) or choose_exit_code(summary.used, summary.skipped)

@@ -26,7 +26,7 @@ class VideoFrame(NamedTuple):
 
 
 def is_video(path: Path) -> bool:
-    return path.suffix.lower() in VIDEOS and path.is_file()
+    return path.suffix.lower() in VIDEOS and os.path.isfile(path)
 
 
 def import_opencv() -> Any:

@@ -285,7 +285,7 @@ def check_frozen(door):
 
 
 def check_gstreamer(door):
-    pipeline = "v4l2src device=/dev/video2 ! videoconvert ! appsink"
+    pipeline = f"v4l2src device=/dev/video2 ! {'videoconvert ! ' * 30}appsink"
     camera = door.plug(*door.frames[:2], END, build="    GStreamer:      YES (1.24.2)")
     assert door.stream(pipeline)[0] == 0 and camera.opened == [(pipeline, 1800)]
     door.plug(busy=(pipeline,), build="    GStreamer:      NO")
@@ -525,6 +525,8 @@ REFUSALS = (
     ("camera:0", "a rate of nought", "--fps 0: use more than 0", ("--fps", "0")),
     ("FOLDER", "a size of a folder", "are of a camera", ("--size", "640x480")),
     ("FOLDER", "an exposure of a folder", "are of a camera", ("--exposure", "3")),
+    ("-", "a size of stdin", "are of a camera", ("--size", "640x480")),
+    ("tcp://127.0.0.1:1", "a rate of a sender", "--fps is of a camera or files", ("--fps", "9")),
     ("FOLDER", "a filter without times", "--filter needs times", ("--filter",)),
 )
 

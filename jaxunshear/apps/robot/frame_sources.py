@@ -10,6 +10,7 @@ source that gives no frame for a while is lost: a thread reads it, so that one t
 import contextlib
 import functools
 import math
+import os
 import sys
 import threading
 import time
@@ -60,19 +61,21 @@ def open_source(
     UserError; frames of a live source may end by SourceLostError.
     """
     settings.check()
-    if source == STDIN:  # the program before us in the pipe waits: none is dropped
-        return Source(read_messages(sys.stdin.buffer.read, "stdin"), True)
     device = parse_camera(source)
     if device is not None:
         return Source(read_newest(read_camera(source, device, settings), source), True)
+    if settings != CameraSettings(fps=settings.fps):
+        raise UserError(f"--size and --exposure are of a camera, and {source} is none")
+    if settings.fps and (source == STDIN or source.startswith((TCP, ZMQ))):
+        raise UserError(f"--fps is of a camera or files: the program that sends {source} sets it")
+    if source == STDIN:  # the program before us in the pipe waits: none is dropped
+        return Source(read_messages(sys.stdin.buffer.read, "stdin"), True)
     for prefix, read in ((TCP, read_tcp), (ZMQ, read_zmq)):
         if source.startswith(prefix):
             return Source(read_newest(read(source.removeprefix(prefix)), source), True)
-    path = Path(source)
-    if not path.exists():
+    if not os.path.exists(source):  # unlike that of a Path it takes pipelines, which are long
         raise UserError(f"{source} does not exist: name {FRAME_REMEDY}")
-    if settings != CameraSettings(fps=settings.fps):
-        raise UserError(f"--size and --exposure are of a camera, and {source} is none")
+    path = Path(source)
     frames = _read_recordings(path, preprocess)
     if settings.fps:
         return Source(read_newest(_play(frames, settings.fps), source, math.inf), True)
@@ -110,7 +113,7 @@ def make_label_reader(
 
     Returns None without labels, and for a model that was not trained on labels of these names.
     """
-    if not Path(source).is_dir() or not model.source.has_frame:
+    if not os.path.isdir(source) or not model.source.has_frame:
         return None
     poses = read_recordings(source, Preprocess()).poses
     if poses is None:
