@@ -284,6 +284,13 @@ def check_frozen(door):
     assert code == 0 and "frozen" not in said and "pose" in lines[-1]
 
 
+def check_still_binary(door):
+    door.patch.setattr("jaxunshear.apps.robot.stream.FROZEN_S", 0.3)
+    door.plug(*[np.where(door.frames[1] > 127, np.uint8(255), np.uint8(0))] * 40, END)
+    code, said, lines = door.stream("camera:0")
+    assert code == 0 and "frozen" not in said and "pose" in lines[-1]
+
+
 def check_gstreamer(door):
     pipeline = f"v4l2src device=/dev/video2 ! {'videoconvert ! ' * 30}appsink"
     camera = door.plug(*door.frames[:2], END, build="    GStreamer:      YES (1.24.2)")
@@ -551,6 +558,7 @@ CASES = [
     Case("a camera that is pulled out", "stream", "lost after a time, 1", check_camera_is_pulled),
     Case("a camera that misses some frames", "stream", "goes on", check_camera_stutters),
     Case("a camera whose picture is frozen", "stream", "said, no pose, 1", check_frozen),
+    Case("binary images that stay the same", "stream", "poses", check_still_binary),
     Case("a pipeline of GStreamer", "stream", "opened, or no GStreamer, 2", check_gstreamer),
     Case("a camera by URL", "stream", "opened, or refused, 2", check_addresses),
     Case("size, rate and exposure", "stream", "set", check_settings),

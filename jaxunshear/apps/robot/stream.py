@@ -24,6 +24,7 @@ from jaxunshear.inference.forward import UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.metrics import compute_pose_errors
 from jaxunshear.perception.drawing import encode_png, to_uint8
+from jaxunshear.perception.grey import find_white_pixels
 from jaxunshear.perception.preprocess import View, combine_views, find_view, prepare_frame
 from jaxunshear.results.applications import StreamResult
 
@@ -171,7 +172,7 @@ def _answer_frame(
 def make_frozen_check(force: bool) -> Callable[[SourceFrame], None]:
     """Make a function of a camera's or video's frames, one by one, that refuses a frozen picture.
 
-    With `force` it refuses none: a simulated camera has no noise.
+    With `force` it refuses none: a simulated camera has no noise. Binary images show none either.
     """
     first: list[SourceFrame] = []  # of those that show the same
     count = 0
@@ -184,7 +185,8 @@ def make_frozen_check(force: bool) -> Callable[[SourceFrame], None]:
             first[:], count = [frame], 0
         count += 1
         since = frame.time_s - (first[0].time_s or 0.0)
-        if count > FROZEN_FRAMES and since > FROZEN_S:
+        is_frozen = count > FROZEN_FRAMES and since > FROZEN_S
+        if is_frozen and find_white_pixels(frame.pixels) is None:
             raise UserError("the picture is frozen: no pixel of it changes any more")
 
     return check

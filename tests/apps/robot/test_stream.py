@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import re
 import time
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data import videos
 from jaxunshear.data.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.files import write_json
 from jaxunshear.inference.forward import UNSHEARED
 from jaxunshear.inference.readers import ImageReader, Predictions
 from jaxunshear.inference.trained_model import TrainedModel
@@ -142,6 +144,25 @@ def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capf
     with pytest.raises(UserError, match="cannot be read as a video"):
         open_source(str(tmp_path / "torn.mp4"), Preprocess())
     assert capfd.readouterr() == ("", "")
+
+
+def test_the_page_names_every_field(tmp_path):
+    """In lines that have all there can be, and none that there cannot."""
+    half_widths = {"unsheared": {"edge_mm": 0.5, "edge_deg": 9.0}}
+    write_json(tmp_path / "results.json", {"half_width": half_widths})
+    fields = set()
+    for images in (INLINE, tmp_path / "out"):
+        out, model = io.StringIO(), StandIn(tmp_path, EXPERIMENT)
+        frames = [frame._replace(time_s=0.1) for frame in make_frames(dots(), np.zeros((9, 9)))]
+        outputs = Outputs(out, images, True, lambda number: {"edge_mm": 0.0})
+        stream(iter(frames), False, model, outputs)
+        good, bad = read_lines(out)
+        fields |= good.keys() | bad.keys()
+        assert good["half_width"] == half_widths["unsheared"]
+        assert good["label_error"] == {"edge_mm": 0.25}
+    _, table = Path("docs/robot.md").read_text().split("| field | what it is | there |")
+    first = [row.split("|")[1] for row in table.split("\n\n")[0].splitlines()[2:]]
+    assert fields == set(re.findall(r"`(\w+)`", " ".join(first)))
 
 
 def test_images_go_to_a_folder(tmp_path):
