@@ -24,7 +24,6 @@ from jaxunshear.inference.forward import UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.metrics import compute_pose_errors
 from jaxunshear.perception.drawing import encode_png, to_uint8
-from jaxunshear.perception.grey import find_white_pixels
 from jaxunshear.perception.preprocess import View, combine_views, find_view, prepare_frame
 from jaxunshear.results.applications import StreamResult
 
@@ -33,6 +32,7 @@ INLINE = Path("-")  # images go into the lines
 FAST_COMPRESSION = 1  # zlib's level: a frame has milliseconds
 FROZEN_S = 1.0  # for which a camera's picture does not change by one pixel before it is frozen,
 FROZEN_FRAMES = 10  # and in how many frames at least: noise changes each
+BINARY_LEVELS = 2  # of images that show no noise
 
 LabelReader = Callable[[int], Mapping[str, float]]  # from a frame's number to its labels
 
@@ -186,7 +186,7 @@ def make_frozen_check(force: bool) -> Callable[[SourceFrame], None]:
         count += 1
         since = frame.time_s - (first[0].time_s or 0.0)
         is_frozen = count > FROZEN_FRAMES and since > FROZEN_S
-        if is_frozen and find_white_pixels(frame.pixels) is None:
+        if is_frozen and len(np.unique(frame.pixels)) > BINARY_LEVELS:
             raise UserError("the picture is frozen: no pixel of it changes any more")
 
     return check
