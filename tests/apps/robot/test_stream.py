@@ -153,6 +153,7 @@ def test_the_page_names_every_field(tmp_path):
     fields = set()
     for images in (INLINE, tmp_path / "out"):
         out, model = io.StringIO(), StandIn(tmp_path, EXPERIMENT)
+        model.targets = ("edge_mm", "edge_deg")
         frames = [frame._replace(time_s=0.1) for frame in make_frames(dots(), np.zeros((9, 9)))]
         outputs = Outputs(out, images, True, lambda number: {"edge_mm": 0.0})
         stream(iter(frames), False, model, outputs)
