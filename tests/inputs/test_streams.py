@@ -535,6 +535,7 @@ REFUSALS = (
     ("zmq:robot", "an endpoint that is none", "use zmq:tcp://HOST:PORT", ()),
     ("camera:0", "a size in one number", "--size 640: use width x height", ("--size", "640")),
     ("camera:0", "a rate of nought", "--fps 0: use more than 0", ("--fps", "0")),
+    ("camera:0", "an exposure that is none", "--exposure nan: use a", ("--exposure", "nan")),
     ("FOLDER", "a size of a folder", "are of a camera", ("--size", "640x480")),
     ("FOLDER", "an exposure of a folder", "are of a camera", ("--exposure", "3")),
     ("-", "a size of stdin", "are of a camera", ("--size", "640x480")),

@@ -4,6 +4,7 @@
 >>> next(frames).pixels                                        # (480, 640, 3) uint8
 """
 
+import math
 import re
 import time
 from collections.abc import Iterator
@@ -41,6 +42,8 @@ class CameraSettings:
         """Raise UserError for what no camera can do."""
         if self.fps is not None and not 0 < self.fps <= MAX_FPS:
             raise UserError(f"--fps {self.fps:g}: use more than 0, at most {MAX_FPS}")
+        if self.exposure is not None and not math.isfinite(self.exposure):
+            raise UserError(f"--exposure {self.exposure:g}: use a number of the camera's own unit")
 
 
 NO_SETTINGS = CameraSettings()
