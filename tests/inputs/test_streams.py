@@ -267,6 +267,25 @@ def check_camera_is_pulled(door):
     assert (code, camera.released) == (1, 1) and "gave no frame" in said and lines
 
 
+def check_camera_raises(door):
+    door.plug(*door.frames[:3], *[RuntimeError("v4l2: error")] * 10_000)
+    code, said, lines = door.stream("camera:0")
+    assert code == 1 and "gave no frame" in said and "Traceback" not in said and lines
+
+
+def check_no_number(door):
+    predict = door.model.predict
+
+    def overflow(images):
+        found = predict(images)
+        return found._replace(poses={"unsheared": {"edge_mm": np.array([np.inf])}})
+
+    door.patch.setattr(door.model, "predict", overflow)
+    code, said, lines = door.stream(door.folder)
+    assert code == 1 and "no finite pose" in said
+    assert all("pose" not in line and line["confidence"] == 0 for line in lines)
+
+
 def check_camera_stutters(door):
     door.plug(*door.frames[:3], *[None] * 5, *door.frames[3:6], END)
     code, _, lines = door.stream("camera:0")
@@ -563,6 +582,8 @@ CASES = [
     Case("a camera that hangs", "stream", "lost after a time, 1", check_camera_hangs),
     Case("a camera that never opens", "stream", "lost after a time, 1", check_camera_never_opens),
     Case("a camera that is pulled out", "stream", "lost after a time, 1", check_camera_is_pulled),
+    Case("a camera whose reads raise errors", "stream", "lost, 1", check_camera_raises),
+    Case("networks that overflow", "stream", "a reason, no pose, 1", check_no_number),
     Case("a camera that misses some frames", "stream", "goes on", check_camera_stutters),
     Case("a picture that is frozen", "stream", "said, no pose, 1", check_frozen),
     Case("binary images that stay the same", "stream", "poses", check_still_binary),

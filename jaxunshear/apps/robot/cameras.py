@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jaxunshear.apps.robot.source_frame import SourceFrame
 from jaxunshear.data.videos import import_opencv, order_colours
 from jaxunshear.errors import UserError
@@ -93,13 +95,13 @@ def read_camera(
         _configure(capture, name, settings)
         number = 0
         while True:
-            good, pixels = capture.read()
-            if not good:
+            pixels = _read(capture)
+            if pixels is None:
                 time.sleep(RETRY_S)
                 yield None
                 continue
             height, width = pixels.shape[:2]
-            if settings.size not in (None, (width, height)):
+            if not number and settings.size not in (None, (width, height)):
                 raise UserError(
                     f"{name} gives {width} x {height} px, not --size "
                     "{}x{}: name a size that it has".format(*settings.size or ())
@@ -108,6 +110,15 @@ def read_camera(
             number += 1
     finally:
         capture.release()
+
+
+def _read(capture: Any) -> np.ndarray | None:
+    """Return a frame; None for a read that failed, which some of OpenCV's readers do by an error."""
+    try:
+        good, pixels = capture.read()
+    except Exception:
+        return None
+    return pixels if good and np.size(pixels) else None
 
 
 def _open(name: str, device: int | str) -> Any:

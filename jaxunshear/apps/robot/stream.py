@@ -165,6 +165,8 @@ def _answer_frame(
         raise UserError(reason)
     poses = predictions.poses.get(UNSHEARED) or next(iter(predictions.poses.values()), {})
     pose = {name: float(values[0]) for name, values in poses.items()}
+    if not np.isfinite([*pose.values()]).all():
+        raise UserError("the networks gave no finite pose for this frame")
     unsheared = None if predictions.unsheared is None else predictions.unsheared[0]
     return _Answer(pose, float(predictions.confidence[0]), "", unsheared, networks_ms)
 
