@@ -113,7 +113,7 @@ def read_camera(
 
 
 def _read(capture: Any) -> np.ndarray | None:
-    """Return a frame; None for a read that failed, which some of OpenCV's readers do by an error."""
+    """Return a frame; None for a read that failed, by its answer or by an error of OpenCV's."""
     try:
         good, pixels = capture.read()
     except Exception:
