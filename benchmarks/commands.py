@@ -59,6 +59,7 @@ COMMANDS = {
         "bench_networks",
         ("size",),
     ),
+    "filter": Benchmark("what `stream --filter` gains, and how far it lags", "bench_filter"),
     "data": Benchmark(
         "processor time and storage of a simulated data set, step by step", "bench_data"
     ),

@@ -128,6 +128,22 @@ def tabulate_exported_speed() -> str:
     return "\n".join(lines)
 
 
+def tabulate_filter() -> str:
+    """Tabulate errors and lags of a stream's poses, without and with a filter."""
+    rows = [
+        row | {"walk": row["name"].split(",")[0], "drift": row["drift"] or "no filter"}
+        for row in load_result("bench_filter")["rows"]
+    ]
+    return tabulate_rows(
+        "| walk | drift | edge distance, mm rms | its lag, ms "
+        "| edge angle, deg rms | its lag, ms |",
+        rows,
+        "{walk}",
+        *("{drift}", "{edge_mm_rms:.2f}", "{edge_mm_lag_ms:.0f}"),
+        *("{edge_deg_rms:.1f}", "{edge_deg_lag_ms:.0f}"),
+    )
+
+
 def tabulate_explorer() -> str:
     """Tabulate how long pictures of `explore` take."""
     return tabulate_rows(

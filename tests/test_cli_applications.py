@@ -198,17 +198,18 @@ def test_stream_of_a_folder(command, tmp_path, model):
         Image.fromarray(picture).save(folder / f"{number}.png")
     (folder / "3.png").write_bytes(b"torn")
     summary = tmp_path / "summary.json"
-    words = ("stream", folder, "--model", model, "--no-images", "--json", summary)
+    words = ("stream", folder, "--model", model, "--json", summary)
     refused = command(*words)
     assert refused.code == 1
     assert "skipped 3: its pins are not those of the model's sensor" in refused.err
-    assert not any("edge_mm" in json.loads(line) for line in refused.out.splitlines())
+    assert not any("pose" in json.loads(line) for line in refused.out.splitlines())
     answer = command(*words, "--force")
     assert answer.code == 0, answer.err
     assert "note: These networks have seen simulated touches only" in answer.err
     assert "note" not in answer.out
     lines = [json.loads(line) for line in answer.out.splitlines()]
     assert [("error" in line) for line in lines] == [False, False, False, True]
-    assert set(lines[0]) >= {"x_mm", "yaw_deg", "edge_mm", "edge_deg", "confidence", "ms"}
+    assert set(lines[0]) >= {"pose", "confidence", "ms"} and not {"image_png"} & set(lines[0])
+    assert set(lines[0]["pose"]) >= {"x_mm", "yaw_deg", "edge_mm", "edge_deg"}
     assert json.loads(summary.read_text())["used"] == 3
     assert "3 frames used, 1 skipped, 0 dropped" in answer.err

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import importlib.util
+import os
 import socket
 import sys
 from collections.abc import Iterator
@@ -32,41 +33,66 @@ if TYPE_CHECKING:
     from jaxunshear.inference.trained_model import TrainedModel
 
 SHOWN_PROBLEMS = 5
+CAMERA_LIST = "list"  # in the place of a source
+INLINE = Path("-")
+NO_PICTURE = "gives no picture: busy, or no camera"
 
 
 def stream(arguments: argparse.Namespace, command: str) -> int:
-    source, fps, images = Path(arguments.source), arguments.fps, arguments.images
-    if fps is not None and not 0 < fps <= 10_000:
-        raise UserError(f"--fps {fps:g}: use more than 0, at most 10000")
-    if images is not None and source.exists():
+    if arguments.source == CAMERA_LIST:
+        return _list_cameras()
+    from jaxunshear.data.videos import is_video
+
+    source, images = Path(arguments.source), arguments.images
+    if images == INLINE:
+        images = None
+    elif images is not None and os.path.exists(source):
         check_not_among(source, images, "--images")
     check_new_file(arguments.lines, "--lines")
     check_new_folder(images, "--images")
     check_outside(arguments.lines, "--lines")
     check_outside(images, "--images")
-    if arguments.like is None and source.is_dir():
+    if arguments.like is None and (os.path.isdir(source) or is_video(source)):
         arguments.like = source
     summary = apply(_stream, arguments, command)
-    return choose_exit_code(summary.used, summary.skipped)
+    return int(bool(summary.lost)) or choose_exit_code(summary.used, summary.skipped)
 
 
 def _stream(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> StreamResult:
-    from jaxunshear.apps.robot.frame_sources import make_label_reader, open_frames
-    from jaxunshear.apps.robot.stream import stream
+    from jaxunshear.apps.robot.cameras import CameraSettings, parse_size
+    from jaxunshear.apps.robot.frame_sources import make_label_reader, open_source
+    from jaxunshear.apps.robot.stream import Outputs, stream
 
+    size = parse_size(arguments.size) if arguments.size else None
+    settings = CameraSettings(size, arguments.fps, arguments.exposure)
     model.with_sheared_poses = False
     model.compile(1)
-    frames, live = open_frames(arguments.source, model.preprocess, arguments.fps)
+    source = open_source(arguments.source, model.preprocess, settings)
+    if arguments.filter and not source.has_times:
+        raise UserError(f"--filter needs times, and {arguments.source} has none: add --fps N")
     read_labels = make_label_reader(arguments.source, model)
     with _open_lines(arguments.lines) as lines:
-        summary = stream(
-            frames, live, model, lines, arguments.images, not arguments.no_images, read_labels
-        )
+        outputs = Outputs(lines, arguments.images, arguments.filter, read_labels)
+        summary = stream(source.frames, source.is_live, model, outputs)
     _print_summary(summary)
     print(f"note: {model.source.describe()}", file=sys.stderr)
     for problem, count in list(summary.problems.items())[:SHOWN_PROBLEMS]:
         print(f"skipped {count}: {problem}", file=sys.stderr)
+    if summary.lost:
+        print(f"lost: {summary.lost}", file=sys.stderr)
     return summary
+
+
+def _list_cameras() -> int:
+    """Print the cameras that are plugged in; return 1 if none gives a picture."""
+    from jaxunshear.apps.robot.frame_sources import find_cameras
+
+    cameras = find_cameras()
+    for camera in cameras:
+        print(f"{camera.source}  {camera.picture or NO_PICTURE}  {camera.name}")
+    if not cameras:
+        print("no camera is plugged in")
+    return int(not any(camera.picture for camera in cameras))
 
 
 def _print_summary(summary: StreamResult) -> None:
@@ -143,20 +169,28 @@ def explore(arguments: argparse.Namespace, command: str) -> int:
 COMMANDS = (
     Command(
         "stream",
-        "perception for a robot: frames in; unsheared image, pose and confidence out, "
-        "a JSON line each",
+        "perception for a robot: frames in; pose and confidence out, a JSON line each",
         stream,
         (
-            option("source", "SOURCE", "a folder, an image, a video file, or camera:N"),
-            *CAMERA_MODEL,
             option(
-                "--fps", "N", "play a folder or video at this rate, as a camera would", type=float
+                "source",
+                "SOURCE",
+                "a folder, an image, a video; camera:N, a camera's path, URL or GStreamer "
+                "pipeline; tcp://HOST:PORT, zmq:ENDPOINT, - for stdin; or list, which shows the "
+                "cameras",
             ),
+            *CAMERA_MODEL,
+            option("--size", "WxH", "ask the camera for frames of this size, such as 1280x720"),
+            option(
+                "--fps",
+                "N",
+                "ask the camera for this rate; a folder or video is played at it",
+                type=float,
+            ),
+            option("--exposure", "N", "set the camera's, in its own unit", type=float),
+            flag("--filter", "smooth poses over time, too, and give their rates"),
             path("--lines", "FILE", "for the JSON lines (default: standard output)"),
-            [
-                path("--images", "DIR", "for unsheared images (default: within the lines)"),
-                flag("--no-images", "leave them out"),
-            ],
+            path("--images", "DIR", "for unsheared images; - puts them into the lines"),
             json_file("the summary, with command, machine and versions"),
         ),
         checks_out=False,

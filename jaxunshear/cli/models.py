@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from jaxunshear.perception.lattice import Lattice
     from jaxunshear.perception.lattice_fitting import MarkerLayout
 
-IMAGES = "an image, or a folder of recordings"
+IMAGES = "an image, a video, or a folder of recordings"
 GEOMETRY_COLUMNS = (
     *("name", "contacts", "unmatched", "correlation", "rmse_mm", "largest_mm", "ms_per_image"),
 )

@@ -1,6 +1,6 @@
 """Read real recordings as they lie on disk, and prepare their frames like simulated ones.
 
-These layouts can be read: one image; a folder of images; the older layout (`images/`,
+These layouts can be read: one image, or video; a folder of either; the older layout (`images/`,
 `targets.csv`), its variant (`frames_bw/`), and the newer ones
 (`{train,val,test}/processed_images/`, `targets.csv`; `tactile_images/`); and folders of these. JSON
 beside them is not read. What is broken and not needed is noted, not fatal. Imports no JAX until a
@@ -29,6 +29,13 @@ from PIL import Image, ImageOps
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.labels import UNKNOWN_ID, ImageLabels, read_targets
 from jaxunshear.data.tables import LabelProblem, list_files, list_tables, read_table
+from jaxunshear.data.videos import (
+    VIDEOS,
+    find_videos,
+    is_video,
+    list_video_frames,
+    read_video_frame,
+)
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import explain_no_content
 
@@ -108,7 +115,7 @@ class Recordings:
             name, folder = self._name(file), file.parent
             if folder not in views:
                 common = view if view and view.box else self.find_common_view(folder)
-                views[folder] = view._replace(box=common.box) if view else common
+                views[folder] = common._replace(whites=view.whites) if view else common
                 names_by_size[folder] = {}
             try:
                 raw = read_image(file)
@@ -157,11 +164,13 @@ def find_common_view(files: Sequence[Path], preprocess: Preprocess) -> View:
 
 
 def read_image(file: Path | bytes) -> np.ndarray:
-    """Read an image file, or its bytes, as an array of its own depth and channels.
+    """Read an image file, its bytes, or a frame of a video, as an array of its own depth.
 
     It is turned as its orientation tag says. Raises UserError for what Pillow cannot read, and for
     several frames in one file.
     """
+    if isinstance(file, Path) and is_video(file.parent):
+        return read_video_frame(file).pixels
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of broken tags: the image is read without them
@@ -211,10 +220,13 @@ def _decode_image(data: bytes) -> np.ndarray:
 def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
     """Find the images and labels at `path`. Raises UserError if there is no path or no image."""
     path = Path(path)
+    if is_video(path):
+        return Recordings(path, preprocess, list_video_frames(path), None, None)
     if path.is_file():
         if path.suffix.lower() not in SUFFIXES:
             raise UserError(
-                f"{path} is no image: give a folder, or one of {', '.join(sorted(SUFFIXES))}"
+                f"{path} is no image and no video: give a folder, or one of "
+                f"{', '.join(sorted(SUFFIXES | VIDEOS))}"
             )
         return Recordings(path, preprocess, (path,), None, None)
     if not path.is_dir():
@@ -226,7 +238,8 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
         for folder, images in _find_image_folders(path, MAX_FOLDER_DEPTH, notes):
             files += images
             labels.append(_read_labels(folder, images, notes))
-            hidden = _find_hidden_folder(folder) if images[0].parent == folder else None
+            is_own = images[0].parent == folder and folder.is_dir()
+            hidden = _find_hidden_folder(folder) if is_own else None
             if hidden is not None:
                 notes.append(
                     f"{folder} has images of its own, so those below it, "
@@ -266,6 +279,8 @@ def _find_image_folders(
         if images:
             yield _ImageFolder(folder, images)
             return
+    for video in find_videos(folder, notes):  # each as a folder of its frames
+        yield _ImageFolder(video, list(list_video_frames(video)))
     parents |= {folder.resolve()}
     notes += _list_unread_tables(folder)
     for subfolder in _list_folders(folder) if depth else ():

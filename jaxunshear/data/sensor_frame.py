@@ -61,6 +61,7 @@ class SensorFrame(NamedTuple):
         return {
             "box": self.view.box,
             "whites": self.view.whites,
+            "frame_px": self.view.frame_px,
             "place_px": np.round(self.rest, 4).tolist(),
             "shell": self.ring.tolist(),
             "spacing_px": round(self.spacing_px, 4),
@@ -75,8 +76,10 @@ def parse_frame(stored: Json) -> SensorFrame:
     from jaxunshear.perception.preprocess import Box, View
 
     whites = tuple((kind, white) for kind, white in stored["whites"])
+    box = Box(*stored["box"]) if stored["box"] else None
+    height, width = stored.get("frame_px") or (0, 0)  # frames of before are not scaled
     return SensorFrame(
-        view=View(Box(*stored["box"]) if stored["box"] else None, whites),
+        view=View(box, whites, (height, width) if height else None),
         rest=np.array(stored["place_px"]),
         ring=np.array(stored["shell"]),
         spacing_px=stored["spacing_px"],

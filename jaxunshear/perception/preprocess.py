@@ -38,6 +38,7 @@ from jaxunshear.perception.pin_detection import find_clusters, find_hull
 
 # Radius of the outermost pins over that of the dark disc, measured: 172 and 210 px.
 OUTER_PINS_OF_DISC = 0.82
+MAX_ASPECT_ERROR = 0.02  # of width over height, within which frames show the same part of a scene
 MAX_FRAMING_ERROR = 0.12  # of a binary frame's scale, below which it is not resampled
 DISC_RADIUS_RANGE = (0.15, 0.75)  # of the frame's shorter side
 MAX_DISC_ERROR = 0.05  # of the radius: usual distance of the rim from the circle
@@ -123,6 +124,7 @@ class View(NamedTuple):
     box: Box | None = None  # None: each frame has its own
     # (type of number, the one that stands for white), unless a frame is brighter
     whites: tuple[tuple[str, float], ...] = ()
+    frame_px: tuple[int, int] | None = None  # height and width of the frames that `box` is of
 
 
 def prepare_frame(
@@ -131,16 +133,16 @@ def prepare_frame(
     """Turn a recorded frame into a binary image of {0, 255}.
 
     The frame has any type of number, and the shape (H, W) or (H, W, 1 to 4 channels). Without a box
-    in `view` the dome is found and cropped. A frame that is binary already is not thresholded
-    again, and not cropped unless its framing clearly differs. Raises UserError for what is no
-    image.
+    in `view` the dome is found and cropped; a box of frames of another size is scaled. A frame that
+    is binary already is not thresholded again, and not cropped unless its framing clearly differs.
+    Raises UserError for what is no image, and for a frame of another shape than the box is of.
     """
     raw = np.asarray(raw)
     grey = find_white_pixels(raw)
     if grey is None:
         grey = to_grey(raw, dict(view.whites).get(raw.dtype.name, 0.0))
         check_contrast(grey)
-    square = crop_frame(grey, view.box or _find_box(preprocess, grey))
+    square = crop_frame(grey, _scale_box(view, grey.shape) or _find_box(preprocess, grey))
     mask = make_mask(preprocess)
     if square.dtype == bool and len(square) == preprocess.size:
         return (square & mask).view(np.uint8) * np.uint8(255)
@@ -153,6 +155,24 @@ def prepare_frame(
     return white.astype(np.uint8) * np.uint8(255)
 
 
+def _scale_box(view: View, frame_px: tuple[int, ...]) -> Box | None:
+    """Scale the box of a view to frames of another height and width, as of another camera mode."""
+    if view.box is None or view.frame_px in (None, frame_px):
+        return view.box
+    assert view.frame_px is not None
+    (height, width), (own_height, own_width) = view.frame_px, frame_px
+    scale = own_width / width
+    if abs(scale * height / own_height - 1) > MAX_ASPECT_ERROR:
+        raise UserError(
+            f"a frame of {own_width} x {own_height} px, but the dome was found in frames of "
+            f"{width} x {height}: another part of the picture; use one camera mode for both"
+        )
+    left, top, right, _ = view.box
+    side = round(scale * (right - left))
+    left, top = round(scale * left), round(scale * top)
+    return Box(left, top, left + side, top + side)
+
+
 @lru_cache(maxsize=1)
 def _blas() -> ThreadpoolController:
     return ThreadpoolController()  # searches for libraries: milliseconds
@@ -160,12 +180,13 @@ def _blas() -> ThreadpoolController:
 
 def find_view(preprocess: Preprocess, raw: np.ndarray) -> View:
     """Find the crop and the white of one frame. Raises UserError for one that is not usable."""
-    box = _find_box(preprocess, to_grey(raw))
-    return View(box, ((raw.dtype.name, find_white_level(raw)),))
+    grey = to_grey(raw)
+    box = _find_box(preprocess, grey)
+    return View(box, ((raw.dtype.name, find_white_level(raw)),), grey.shape)
 
 
 def combine_views(views: list[View]) -> View:
-    """Combine the views of some frames.
+    """Combine the views of some frames of one size.
 
     The crop is the median, since one that trembled would appear as motion. The whites are the
     brightest of each type of number, since a contrast that changed would, too.
@@ -181,7 +202,7 @@ def combine_views(views: list[View]) -> View:
     left, top, right, bottom = np.median(boxes, axis=0)
     side = round(max(right - left, bottom - top))
     left, top = round((left + right - side) / 2), round((top + bottom - side) / 2)
-    return View(Box(left, top, left + side, top + side), whites)
+    return View(Box(left, top, left + side, top + side), whites, views[0].frame_px)
 
 
 def _find_box(preprocess: Preprocess, grey: np.ndarray) -> Box:

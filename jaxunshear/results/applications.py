@@ -126,6 +126,7 @@ class StreamResult:
     dropped: int  # arrived while another was processed
     problems: Mapping[str, int]  # numbers of frames by problem
     live: bool  # from a camera, or played at its rate
+    lost: str  # why a live source gave no more frames; empty if it ended otherwise
     frames_per_s: float
     confidence: float | None  # mean
     pose_mae: Mapping[str, float]  # by quantity, if there are labels

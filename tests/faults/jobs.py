@@ -59,7 +59,7 @@ def make_jobs(places: Places) -> dict[str, Job]:
     run, data, frames, out = places.run, places.data, places.frames, ("--out", ())
     own_data = ("--data", ("d",))
     pins = ("--recordings", places.recording, "--name", "pins", *PINS)
-    lines = ("--no-images", "--lines", ("lines.jsonl",))
+    lines = ("--lines", ("lines.jsonl",))
     jobs = (
         Job("data", ("data", TINY, *own_data, *out), _read_sets),
         Job("train", ("train", TINY, *POSENET, "--data", data, *out), _read_weights),

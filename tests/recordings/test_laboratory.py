@@ -31,6 +31,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from conftest import ROOT, SHORT
 
 TARGETS = ["y_mm", "z_mm", "Rz_deg"]
+FRAME_FIELDS = ("schema", "frame", "name", "time_s", "confidence", "ms")  # of each line
 EXPERIMENT = ROOT / "experiments" / "recorded.py"
 
 
@@ -202,13 +203,15 @@ def test_pose_and_stream_leave_them_out_likewise(command, pins_run, slides, some
     assert "mean error against the labels: y_mm" in answer.err
     for line in map(json.loads, answer.out.splitlines()):
         if line["name"] in hidden:
-            assert line.keys() == {"frame", "name", "confidence", "error"}
+            assert line.keys() == {*FRAME_FIELDS, "error"}
             assert line["confidence"] == 0
             assert line["error"] == "its pins cannot be identified for sure"
         else:
             pose = float(rows[line["name"]]["unsheared_y_mm"])
-            assert line["y_mm"] == pytest.approx(pose, abs=1e-3)
-            assert {*TARGETS, *(f"error_{name}" for name in TARGETS), "confidence"} <= line.keys()
+            assert line["pose"]["y_mm"] == pytest.approx(pose, abs=1e-3)
+            assert line.keys() == {*FRAME_FIELDS, "pose", "half_width", "label_error"}
+            for field in ("pose", "half_width", "label_error"):
+                assert line[field].keys() == set(TARGETS)
     mae = json.loads((tmp_path / "stream.json").read_text())["pose_mae"]
     assert mae["y_mm"] == pytest.approx(measured["pose_mae.unsheared.y_mm"], abs=1e-3)
 
@@ -287,7 +290,7 @@ def test_a_full_disk_ends_a_stream_in_one_line(command, pins_run, slides, tmp_pa
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("jaxunshear.apps.robot.stream._write_line", write)
-    words = ("--model", pins_run, "--lines", tmp_path / "lines", "--no-images")
+    words = ("--model", pins_run, "--lines", tmp_path / "lines")
     full = command("stream", slides, *words)
     assert full.code == 2 and "lines: the disk is full" in full.err.splitlines()[-1]
 
@@ -342,7 +345,7 @@ def test_a_direct_posenet_that_convolves_serves_at_every_door(
     )
     np.testing.assert_allclose(first, second, atol=0.05)  # kernels are stored as float16
     assert np.ptp(first) > 0.1
-    succeed(command, "stream", slides, "--model", run, "--lines", tmp_path / "lines", "--no-images")
+    succeed(command, "stream", slides, "--model", run, "--lines", tmp_path / "lines")
     succeed(command, "export", run, "--out", tmp_path / "direct.onnx")
 
 

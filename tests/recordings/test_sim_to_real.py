@@ -213,15 +213,13 @@ def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_pat
 def test_a_stream_reads_what_unshear_reads(command, weights, tmp_path):
     folder = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
     assert command("unshear", folder, "--model", weights, "--out", tmp_path / "out").code == 0
-    succeed(
-        command, "stream", folder, "--model", weights, "--lines", tmp_path / "lines", "--no-images"
-    )
+    succeed(command, "stream", folder, "--model", weights, "--lines", tmp_path / "lines")
     lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
     head, *rows = (
         line.split(",") for line in (tmp_path / "out" / "poses.csv").read_text().splitlines()
     )
     for line, row in zip(lines, rows, strict=True):
-        assert line["edge_mm"] == pytest.approx(float(row[head.index("edge_mm")]), abs=1e-3)
+        assert line["pose"]["edge_mm"] == pytest.approx(float(row[head.index("edge_mm")]), abs=1e-3)
 
 
 def test_simulated_weights_give_no_pose_without_identities(command, weights, tmp_path):
@@ -240,10 +238,10 @@ def test_simulated_weights_give_no_pose_without_identities(command, weights, tmp
         rows = list(csv.DictReader(answer.out.splitlines()))
         left_out = [True] * count + [False] * (30 - count)
         assert [row["unsheared_edge_mm"] == "" for row in rows] == left_out
-        answer = command("stream", folder, *words, "--no-images")
+        answer = command("stream", folder, *words)
         assert answer.code == code and f"{30 - count} frames used, {count} skipped" in answer.err
         lines = map(json.loads, answer.out.splitlines())
-        assert ["edge_mm" not in line for line in lines] == left_out
+        assert ["pose" not in line for line in lines] == left_out
 
 
 def test_images_of_other_things_have_no_pose_in_python_unless_forced(weights, tmp_path):

@@ -1,61 +1,109 @@
-"""Opens the frames of a stream: a folder, a video file or a camera.
+"""Opens the frames of a stream: of a folder, a video, a camera, or another program.
 
-Frames that come while the robot thinks are dropped, not queued.
+Frames of a camera or a connection that come while the robot thinks are dropped, not queued. A
+source that gives no frame for a while is lost: a thread reads it, so that one that hangs is, too.
 
->>> frames, live = open_frames("camera:0", Preprocess(), fps=None)
->>> next(frames).pixels                                        # (480, 640, 3) uint8
+>>> source = open_source("camera:0", Preprocess(), CameraSettings(size=(1280, 720)))
+>>> next(source.frames).pixels                                 # (720, 1280, 3) uint8
 """
 
+import contextlib
 import functools
+import math
 import os
+import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from jaxunshear.apps.robot.cameras import (
+    CAMERA,
+    NO_SETTINGS,
+    CameraSettings,
+    describe_device,
+    find_devices,
+    parse_camera,
+    read_camera,
+)
+from jaxunshear.apps.robot.messages import read_messages, read_tcp, read_zmq
+from jaxunshear.apps.robot.source_frame import FRAME_REMEDY, SourceFrame, SourceLostError
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.targets import RECORDED_FIELDS
 from jaxunshear.data.recordings import read_image, read_recordings
+from jaxunshear.data.videos import is_video, read_video_frame
 from jaxunshear.errors import UserError
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.preprocess import View
 
-VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mpg", ".mpeg", ".m4v"}
-CAMERA = "camera"
-FFMPEG_QUIET = "-8"  # FFmpeg's AV_LOG_QUIET
-EXTRA = "pip install 'jaxunshear[camera]'"
+STDIN, TCP, ZMQ = "-", "tcp://", "zmq:"
+FIRST_PATIENCE_S = 15.0  # for the first frame: to open a camera may take long
+PATIENCE_S = 5.0  # for each frame after it
+LIST_PATIENCE_S = 3.0  # for each camera of `stream list`
+RELEASE_S = 1.0  # that a reading thread is given to release its camera
 
 
-class SourceFrame(NamedTuple):
-    number: int
-    name: str
-    pixels: np.ndarray | None  # None if it cannot be read
-    problem: str  # why it cannot be read
-    view: View | None = None  # of the folder that it lies in, if any
+class Source(NamedTuple):
+    frames: Iterator[SourceFrame]
+    is_live: bool  # it may have no end of its own: a key ends it
+    has_times: bool = True  # its frames say when they were taken
 
 
-def open_frames(
-    source: str, preprocess: Preprocess, fps: float | None
-) -> tuple[Iterator[SourceFrame], bool]:
-    """Open a folder, an image, a video file or "camera:N"; return frames, and whether it is live.
+def open_source(
+    source: str, preprocess: Preprocess, settings: CameraSettings = NO_SETTINGS
+) -> Source:
+    """Open a source by what the command line calls it.
 
-    With `fps` a folder or video plays at that rate, as if it were a camera. Raises UserError.
+    With `settings.fps` a folder or video plays at that rate, as if it were a camera. Raises
+    UserError; frames of a live source may end by SourceLostError.
     """
-    if source == CAMERA or source.startswith(f"{CAMERA}:"):
-        return _yield_latest(_open_camera(source)), True
+    settings.check()
+    device = parse_camera(source)
+    if device is not None:
+        return Source(read_newest(read_camera(source, device, settings), source), True)
+    if settings != CameraSettings(fps=settings.fps):
+        raise UserError(f"--size and --exposure are of a camera, and {source} is none")
+    if settings.fps and (source == STDIN or source.startswith((TCP, ZMQ))):
+        raise UserError(f"--fps is of a camera or files: the program that sends {source} sets it")
+    if source == STDIN:  # the program before us in the pipe waits: none is dropped
+        return Source(read_messages(sys.stdin.buffer.read, "stdin"), True)
+    for prefix, read in ((TCP, read_tcp), (ZMQ, read_zmq)):
+        if source.startswith(prefix):
+            return Source(read_newest(read(source.removeprefix(prefix)), source), True)
+    if not os.path.exists(source):  # unlike that of a Path it takes pipelines, which are long
+        raise UserError(f"{source} does not exist: name {FRAME_REMEDY}")
     path = Path(source)
-    if not path.exists():
-        raise UserError(
-            f"{source} does not exist: name a folder, an image, a video file, or camera:0"
-        )
-    is_video = path.is_file() and path.suffix.lower() in VIDEOS
-    frames = _open_video(path) if is_video else _open_folder(path, preprocess)
-    if fps:
-        return _yield_latest(_play(frames, fps)), True
-    return frames, False
+    frames = _read_recordings(path, preprocess)
+    if settings.fps:
+        return Source(read_newest(_play(frames, settings.fps), source, math.inf), True)
+    return Source(frames, False, is_video(path))
+
+
+class CameraText(NamedTuple):
+    """What `stream list` says of a camera."""
+
+    source: str
+    picture: str  # empty if it gives none
+    name: str
+
+
+def find_cameras() -> list[CameraText]:
+    """Find the cameras that may be there, and the size of the pictures that each gives."""
+    found = []
+    for number in find_devices():
+        source, picture = f"{CAMERA}:{number}", ""
+        camera = read_camera(source, number, NO_SETTINGS)
+        frames = read_newest(camera, source, LIST_PATIENCE_S, LIST_PATIENCE_S)
+        with contextlib.suppress(UserError), contextlib.closing(frames):
+            shape = np.asarray(next(frames).pixels).shape
+            picture = f"{shape[1]} x {shape[0]} px"
+        name = describe_device(number)
+        if name or picture:
+            found.append(CameraText(source, picture, name))
+    return found
 
 
 def make_label_reader(
@@ -65,7 +113,7 @@ def make_label_reader(
 
     Returns None without labels, and for a model that was not trained on labels of these names.
     """
-    if not Path(source).is_dir() or not model.source.has_frame:
+    if not os.path.isdir(source) or not model.source.has_frame:
         return None
     poses = read_recordings(source, Preprocess()).poses
     if poses is None:
@@ -73,7 +121,7 @@ def make_label_reader(
     return lambda number: dict(zip(RECORDED_FIELDS, poses[number].tolist(), strict=True))
 
 
-def _open_folder(path: Path, preprocess: Preprocess) -> Iterator[SourceFrame]:
+def _read_recordings(path: Path, preprocess: Preprocess) -> Iterator[SourceFrame]:
     recordings = read_recordings(path, preprocess)
     find_view = functools.cache(recordings.find_common_view)
 
@@ -87,118 +135,82 @@ def _open_folder(path: Path, preprocess: Preprocess) -> Iterator[SourceFrame]:
 
 def _read_frame(number: int, file: Path, name: str, view: View) -> SourceFrame:
     try:
-        return SourceFrame(number, name, read_image(file), "", view)
+        if not is_video(file.parent):
+            return SourceFrame(number, name, read_image(file), view=view)
+        pixels, time_s = read_video_frame(file)
+        return SourceFrame(number, name, pixels, view=view, time_s=time_s)
     except UserError as error:
         return SourceFrame(number, name, None, str(error))
-
-
-def _import_opencv() -> Any:
-    # we print one line ourselves; unlike its functions, its variables are the same in all versions
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", FFMPEG_QUIET)
-    try:
-        import cv2
-    except ImportError:
-        raise UserError(f"videos and cameras need OpenCV: {EXTRA}") from None
-    return cv2
-
-
-def _open_video(path: Path) -> Iterator[SourceFrame]:
-    capture = _import_opencv().VideoCapture(str(path))
-    if not capture.isOpened():
-        raise UserError(
-            f"{path} cannot be read as a video: it is damaged, or its format is unknown"
-        )
-    return _capture_frames(capture, path.name, float("inf"))
-
-
-def _open_camera(source: str) -> Iterator[SourceFrame]:
-    number = source.partition(":")[2] or "0"
-    if not number.isdigit():
-        raise UserError(f"{source}: use camera:N with the number of the device, such as camera:0")
-    capture = _import_opencv().VideoCapture(int(number))
-    if not capture.isOpened():
-        raise UserError(f"camera {number} cannot be opened: is it plugged in, and free?")
-    return _capture_frames(capture, f"camera {number}", 30)
-
-
-def _capture_frames(capture: Any, name: str, patience: float) -> Iterator[SourceFrame]:
-    """Yield frames until the end, or until `patience` frames of a camera in a row fail."""
-    number = failed = 0
-    expected = capture.get(7)  # CAP_PROP_FRAME_COUNT; zero or less for a camera
-    try:
-        while failed < patience:
-            good, pixels = capture.read()
-            if good:
-                failed = 0
-                yield SourceFrame(number, f"{name} {number}", order_colours(pixels), "")
-            elif number >= expected > 0 or patience == float("inf"):
-                if number < expected:
-                    problem = f"the video breaks off after {number} of {expected:.0f} frames"
-                    yield SourceFrame(number, f"{name} {number}", None, problem)
-                return
-            else:
-                failed += 1
-                yield SourceFrame(number, f"{name} {number}", None, "the camera gave no frame")
-            number += 1
-        raise UserError(f"{name} gave no frame {failed} times in a row: is it still plugged in?")
-    finally:
-        capture.release()
-
-
-def order_colours(pixels: np.ndarray) -> np.ndarray:
-    """Put OpenCV's colours (H, W, 3 or 4) in the order red, green, blue, without alpha.
-
-    Greys (H, W) stay as they are.
-    """
-    if pixels.ndim < 3 or pixels.shape[-1] < 3:
-        return pixels
-    return pixels[..., 2::-1]
 
 
 def _play(frames: Iterator[SourceFrame], fps: float) -> Iterator[SourceFrame]:
     start = time.monotonic()
     for index, frame in enumerate(frames):
         time.sleep(max(0.0, start + index / fps - time.monotonic()))
-        yield frame
+        yield frame._replace(time_s=time.time())
 
 
-def _yield_latest(frames: Iterator[SourceFrame]) -> Iterator[SourceFrame]:
+def read_newest(
+    frames: Iterator[SourceFrame | None],
+    name: str,
+    patience_s: float = PATIENCE_S,
+    first_patience_s: float = FIRST_PATIENCE_S,
+) -> Generator[SourceFrame, None, None]:
     """Yield frames from a thread that never waits.
 
-    A newer frame takes the place of one that was not fetched in time.
+    A newer frame takes the place of one that was not fetched in time. None says that a source has
+    nothing yet. Raises SourceLostError if no frame comes in time, and what `frames` raises.
     """
-    newest: list[SourceFrame] = []
-    errors: list[BaseException] = []
-    news = threading.Condition()
-    ended = threading.Event()
-    stopped = threading.Event()
+    newest = _NewestFrame()
+    thread = threading.Thread(target=newest.read, args=(frames,), daemon=True, name="frames")
+    thread.start()
+    wait_s = max(first_patience_s, patience_s)
+    try:
+        while (frame := newest.take(name, wait_s)) is not None:
+            yield frame
+            wait_s = patience_s
+    finally:
+        newest.stopped.set()
+        thread.join(RELEASE_S)
 
-    def read() -> None:
+
+class _NewestFrame:
+    """What a reading thread shares with the one that uses its frames."""
+
+    def __init__(self) -> None:
+        self.stopped = threading.Event()
+        self._news = threading.Condition()
+        self._frame: SourceFrame | None = None
+        self._error: BaseException | None = None
+        self._is_ended = False
+
+    def read(self, frames: Iterator[SourceFrame | None]) -> None:
         try:
             for frame in frames:
-                if stopped.is_set():
+                if self.stopped.is_set():
                     break
-                with news:
-                    newest[:] = [frame]
-                    news.notify()
+                if frame is not None:
+                    with self._news:
+                        self._frame = frame
+                        self._news.notify()
         except BaseException as error:  # raised where the frames are used
-            errors.append(error)
+            self._error = error
         finally:
-            ended.set()
-            with news:
-                news.notify()
+            if isinstance(frames, Generator):  # which releases a camera
+                frames.close()
+            with self._news:
+                self._is_ended = True
+                self._news.notify()
 
-    threading.Thread(target=read, daemon=True, name="frames").start()
-    try:
-        while True:
-            with news:
-                news.wait_for(lambda: newest or ended.is_set())
-                if not newest:
-                    break
-                frame = newest.pop()
-            yield frame
-        if errors:
-            raise errors[0]
-    finally:
-        stopped.set()
+    def take(self, name: str, wait_s: float) -> SourceFrame | None:
+        """Return the newest frame, once; None at the end."""
+        with self._news:
+            limit = None if math.isinf(wait_s) else wait_s
+            if not self._news.wait_for(lambda: self._frame or self._is_ended, limit):
+                raise SourceLostError(
+                    f"{name} gave no frame for {wait_s:g} s: is it still plugged in, or running?"
+                )
+            frame, self._frame = self._frame, None
+        if frame is None and self._error is not None:
+            raise self._error
+        return frame

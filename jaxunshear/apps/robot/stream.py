@@ -1,4 +1,4 @@
-"""Perception for a robot: a frame in; unsheared image, pose and confidence out, as a JSON line.
+"""Perception for a robot: a frame in; pose and confidence out, as a line of JSON.
 
 A frame that cannot be used, or is not understood, is reported and counted, and the next one comes.
 """
@@ -14,11 +14,12 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
-from jaxunshear.apps.robot.frame_sources import SourceFrame
+from jaxunshear.apps.robot.pose_filter import FilterState, find_noise, update_filter
+from jaxunshear.apps.robot.source_frame import SourceFrame, SourceLostError
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import PROBES
 from jaxunshear.errors import UserError
-from jaxunshear.files import Json, write_bytes
+from jaxunshear.files import Json, read_object_if_sound, write_bytes
 from jaxunshear.inference.forward import UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.metrics import compute_pose_errors
@@ -26,16 +27,33 @@ from jaxunshear.perception.drawing import encode_png, to_uint8
 from jaxunshear.perception.preprocess import View, combine_views, find_view, prepare_frame
 from jaxunshear.results.applications import StreamResult
 
+SCHEMA = 1  # of the lines
+INLINE = Path("-")  # images go into the lines
 FAST_COMPRESSION = 1  # zlib's level: a frame has milliseconds
+FROZEN_S = 1.0  # for which a camera's picture does not change by one pixel before it is frozen,
+FROZEN_FRAMES = 10  # and in how many frames at least: noise changes each
+BINARY_LEVELS = 2  # of images that show no noise
 
 LabelReader = Callable[[int], Mapping[str, float]]  # from a frame's number to its labels
 
 
+class Outputs(NamedTuple):
+    """What goes where."""
+
+    lines: TextIO
+    images: Path | None = None  # a folder for unsheared images, or INLINE
+    is_filtered: bool = False  # poses are also smoothed over time
+    read_labels: LabelReader | None = None  # with these, lines and summary have errors, too
+
+
 class _Answer(NamedTuple):
-    unsheared: np.ndarray | None  # (S, S) in [0, 1]
-    pose: dict[str, float]
+    """What becomes of a frame; poses, mm and deg, are by quantity."""
+
+    pose: Mapping[str, float]
     confidence: float
-    networks_ms: float
+    error: str = ""  # why there is no pose
+    unsheared: np.ndarray | None = None  # (S, S) in [0, 1]
+    networks_ms: float = 0.0
 
 
 @dataclass
@@ -50,8 +68,13 @@ class _StreamStats:
     skipped: int = 0
     missed: int = 0
     last: int = -1  # number of a frame
+    lost: str = ""
 
     def add(self, answer: _Answer, errors: Mapping[str, float], total_ms: float) -> None:
+        if answer.error:
+            self.skipped += 1
+            self.problems[answer.error] += 1
+            return
         self.networks_ms.append(answer.networks_ms)
         self.total_ms.append(total_ms)
         self.confidences.append(answer.confidence)
@@ -60,52 +83,69 @@ class _StreamStats:
 
 
 def stream(
-    frames: Iterator[SourceFrame],
-    live: bool,
-    model: TrainedModel,
-    out: TextIO,
-    images: Path | None,
-    inline: bool,
-    read_labels: LabelReader | None = None,
+    frames: Iterator[SourceFrame], is_live: bool, model: TrainedModel, outputs: Outputs
 ) -> StreamResult:
-    """Write a line for each frame to `out`, and return a summary.
+    """Write a line for each frame, and return a summary.
 
-    A frame that is not understood has no pose and no image, but a reason and a confidence of 0. A
-    live source also ends by Ctrl-C, or when its camera is lost.
-
-    Args:
-        images: a folder for unsheared images.
-        inline: whether images are written into the lines as base64 PNG instead.
-        read_labels: with these, lines and summary have errors, too.
+    A frame that is not understood has no pose and no image, but a reason and a confidence of 0. So
+    has one of a camera whose picture is frozen. A live source also ends by Ctrl-C, or when it is
+    lost.
     """
     find_view = make_steady_view(model.preprocess)
-    stats = _StreamStats()
-    start = time.perf_counter()
+    check_frozen = make_frozen_check(model.force)
+    half_widths = read_half_widths(model.folder)
+    noise = find_noise(model.targets, half_widths) if outputs.is_filtered else {}
+    state: FilterState | None = None
+    stats, start = _StreamStats(), time.perf_counter()
     try:
-        for frame in _end_when_lost(frames, live, stats.problems):
+        for frame in _end_when_lost(frames, stats):
             arrival = time.perf_counter()
             stats.missed += frame.number - stats.last - 1
             stats.last = frame.number
-            line: Json = {"frame": frame.number, "name": frame.name}
             try:
+                check_frozen(frame)
                 answer = _answer_frame(model, frame, find_view)
             except UserError as error:
-                stats.skipped += 1
-                stats.problems[str(error)] += 1
-                _write_line(out, line | {"confidence": 0.0, "error": str(error)})
-                continue
-            line |= {name: round(value, 4) for name, value in answer.pose.items()}
-            line["confidence"] = round(answer.confidence, 4)
-            errors = _compute_errors(answer.pose, read_labels(frame.number) if read_labels else {})
-            line |= {f"error_{name}": round(value, 4) for name, value in errors.items()}
-            if answer.unsheared is not None:
-                line |= _store_image(images, inline, frame, answer.unsheared)
-            stats.add(answer, errors, 1e3 * (time.perf_counter() - arrival))
-            _write_line(out, line | {"ms": round(stats.total_ms[-1], 3)})
+                answer = _Answer({}, 0.0, str(error))
+            if outputs.is_filtered and answer.pose and frame.time_s is not None:
+                state = update_filter(state, frame.time_s, answer.pose, noise)
+            labels = outputs.read_labels(frame.number) if outputs.read_labels else {}
+            errors = _compute_errors(answer.pose, labels)
+            line = make_line(frame, answer, errors, half_widths, state)
+            line |= _store_image(outputs.images, frame, answer.unsheared)
+            total_ms = 1e3 * (time.perf_counter() - arrival)
+            stats.add(answer, errors, total_ms)
+            _write_line(outputs.lines, line | {"ms": round(total_ms, 3)})
     except KeyboardInterrupt:  # a camera's usual end
-        if not live or not stats.total_ms:
+        if not is_live or not stats.total_ms:
             raise
-    return _summarise(stats, live, time.perf_counter() - start)
+    return _summarise(stats, is_live, time.perf_counter() - start)
+
+
+def make_line(
+    frame: SourceFrame,
+    answer: _Answer,
+    errors: Mapping[str, float],
+    half_widths: Mapping[str, float],
+    state: FilterState | None,
+) -> Json:
+    """Make the line of a frame, but for its image and its time; docs/robot.md has the fields."""
+    line: Json = {"schema": SCHEMA, "frame": frame.number, "name": frame.name}
+    line |= {"time_s": frame.time_s, "confidence": round(answer.confidence, 4)}
+    if answer.error:
+        return line | {"error": answer.error}
+    line["pose"] = _round(answer.pose)
+    if half_widths:
+        line["half_width"] = _round(half_widths)
+    if state is not None and state.time_s == frame.time_s:
+        line |= {"filtered": _round(state.pose), "rate": _round(state.rate)}
+    if errors:
+        line["label_error"] = _round(errors)
+    return line
+
+
+def _round(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(value, 4) for name, value in values.items()}
 
 
 def _answer_frame(
@@ -125,11 +165,43 @@ def _answer_frame(
         raise UserError(reason)
     poses = predictions.poses.get(UNSHEARED) or next(iter(predictions.poses.values()), {})
     pose = {name: float(values[0]) for name, values in poses.items()}
+    if not np.isfinite([*pose.values()]).all():
+        raise UserError("the networks gave no finite pose for this frame")
     unsheared = None if predictions.unsheared is None else predictions.unsheared[0]
-    return _Answer(unsheared, pose, float(predictions.confidence[0]), networks_ms)
+    return _Answer(pose, float(predictions.confidence[0]), "", unsheared, networks_ms)
 
 
-def _summarise(stats: _StreamStats, live: bool, seconds: float) -> StreamResult:
+def make_frozen_check(force: bool) -> Callable[[SourceFrame], None]:
+    """Make a function of a camera's or video's frames, one by one, that refuses a frozen picture.
+
+    With `force` it refuses none: a simulated camera has no noise. Binary images show none either.
+    """
+    first: list[SourceFrame] = []  # of those that show the same
+    count = 0
+
+    def check(frame: SourceFrame) -> None:
+        nonlocal count
+        if force or frame.time_s is None or frame.pixels is None:
+            return
+        if not first or not np.array_equal(np.asarray(first[0].pixels), frame.pixels):
+            first[:], count = [frame], 0
+        count += 1
+        since = frame.time_s - (first[0].time_s or 0.0)
+        is_frozen = count > FROZEN_FRAMES and since > FROZEN_S
+        if is_frozen and len(np.unique(frame.pixels)) > BINARY_LEVELS:
+            raise UserError("the picture is frozen: no pixel of it changes any more")
+
+    return check
+
+
+def read_half_widths(run: Path) -> dict[str, float]:
+    """Read the half-widths that hold 95 % of a run's errors, by quantity; none for other models."""
+    results = read_object_if_sound(run / "results.json") or {}
+    by_kind = results.get("half_width") or {}
+    return dict(by_kind.get(UNSHEARED) or {})
+
+
+def _summarise(stats: _StreamStats, is_live: bool, seconds: float) -> StreamResult:
     used = len(stats.total_ms)
     return StreamResult(
         frames=used + stats.skipped + stats.missed,
@@ -137,7 +209,8 @@ def _summarise(stats: _StreamStats, live: bool, seconds: float) -> StreamResult:
         skipped=stats.skipped,
         dropped=stats.missed,
         problems=dict(stats.problems),
-        live=live,
+        live=is_live,
+        lost=stats.lost,
         frames_per_s=used / max(seconds, 1e-9),
         confidence=float(np.mean(stats.confidences)) if used else None,
         pose_mae={name: float(np.mean(values)) for name, values in stats.errors.items()},
@@ -146,7 +219,7 @@ def _summarise(stats: _StreamStats, live: bool, seconds: float) -> StreamResult:
     )
 
 
-def _compute_errors(pose: dict[str, float], labels: Mapping[str, float]) -> dict[str, float]:
+def _compute_errors(pose: Mapping[str, float], labels: Mapping[str, float]) -> dict[str, float]:
     names = [name for name in pose if np.isfinite(labels.get(name, np.nan))]
     truth = {name: np.array([labels[name]]) for name in names}
     errors = compute_pose_errors({name: np.array([pose[name]]) for name in truth}, truth)
@@ -171,16 +244,12 @@ def make_steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
     return update_view
 
 
-def _end_when_lost(
-    frames: Iterator[SourceFrame], live: bool, problems: Counter[str]
-) -> Iterator[SourceFrame]:
-    """Yield frames; if a live source is lost, end them and store the problem."""
+def _end_when_lost(frames: Iterator[SourceFrame], stats: _StreamStats) -> Iterator[SourceFrame]:
+    """Yield frames; if a live source is lost, end them and store why."""
     try:
         yield from frames
-    except UserError as error:
-        if not live:
-            raise
-        problems[str(error)] = 1
+    except SourceLostError as error:
+        stats.lost = str(error)
 
 
 def _compute_percentiles(values: list[float]) -> dict[str, float] | None:
@@ -192,13 +261,13 @@ def _write_line(out: TextIO, line: Json) -> None:
     out.flush()
 
 
-def _store_image(folder: Path | None, inline: bool, frame: SourceFrame, image: np.ndarray) -> Json:
-    """Write an image into `folder`, or return it inline, as a field of the line."""
-    if folder is None and not inline:
+def _store_image(images: Path | None, frame: SourceFrame, image: np.ndarray | None) -> Json:
+    """Write an image into a folder, or return it INLINE, as a field of the line."""
+    if images is None or image is None:
         return {}
     png = encode_png(to_uint8(image), FAST_COMPRESSION)
-    if folder is None:
+    if images == INLINE:
         return {"image_png": base64.b64encode(png).decode()}
-    path = folder / f"{frame.number:06d}.png"
+    path = images / f"{frame.number:06d}.png"
     write_bytes(path, png)
     return {"image": str(path)}
