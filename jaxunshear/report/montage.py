@@ -10,12 +10,11 @@ from matplotlib.figure import Figure
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import BROKEN_NPZ, read_npz
+from jaxunshear.perception.drawing import MISSING, SURPLUS, compare_images
 from jaxunshear.report import html
 from jaxunshear.report.wording import Wording, section
 from jaxunshear.style import encode_png
 
-MISSING = (255, 122, 26)  # orange: only the tap is bright
-SURPLUS = (64, 150, 255)  # blue: only the image is bright
 MAX_LETTERS = 22  # in one line of a heading above an image
 MontageImages = dict[str, np.ndarray]  # as `evaluation.evaluate.encode_montage` writes it
 
@@ -111,15 +110,3 @@ def _describe_contact(images: MontageImages, row: int, words: Wording) -> list[s
         if np.isfinite(value):
             lines.append(f"{name} {value:.1f} mm")
     return lines
-
-
-def compare_images(image: np.ndarray, tap: np.ndarray) -> np.ndarray:
-    """Colour the differences of two images (H, W) uint8; returns (H, W, 3) uint8.
-
-    What both share is grey, and the rest has the colours `MISSING` and `SURPLUS`.
-    """
-    a, b = image.astype(np.float32)[..., None] / 255, tap.astype(np.float32)[..., None] / 255
-    shared = np.minimum(a, b) * 90
-    missing = np.clip(b - a, 0, 1) * np.array(MISSING, np.float32)
-    surplus = np.clip(a - b, 0, 1) * np.array(SURPLUS, np.float32)
-    return np.clip(np.rint(shared + missing + surplus), 0, 255).astype(np.uint8)

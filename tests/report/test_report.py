@@ -13,9 +13,9 @@ import pytest
 from PIL import Image
 
 from jaxunshear.errors import UserError
+from jaxunshear.perception.drawing import MISSING, SURPLUS, compare_images
 from jaxunshear.report import montage
 from jaxunshear.report.html import encode_pixels
-from jaxunshear.report.montage import MISSING, SURPLUS, compare_images
 from jaxunshear.report.report import write_report
 
 
