@@ -178,10 +178,7 @@ class SurfaceRow(NamedTuple):
 
 
 def plot_contacts(
-    places_mm: np.ndarray,
-    names: tuple[str, ...],
-    contacts: SimulatedContacts,
-    geometry: Geometry,
+    places_mm: np.ndarray, names: tuple[str, ...], contacts: SimulatedContacts, geometry: Geometry
 ) -> bytes:
     """Plot one contact of every stimulus as a PNG, with a row for each method.
 

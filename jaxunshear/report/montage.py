@@ -1,11 +1,10 @@
-"""Sheared, unsheared and tapped images side by side, for the report and as one picture."""
+"""Sheared, unsheared and tapped images side by side, for the report."""
 
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
@@ -13,9 +12,7 @@ from jaxunshear.files import BROKEN_NPZ, read_npz
 from jaxunshear.perception.drawing import MISSING, SURPLUS, compare_images
 from jaxunshear.report import html
 from jaxunshear.report.wording import Wording, section
-from jaxunshear.style import encode_png
 
-MAX_LETTERS = 22  # in one line of a heading above an image
 MontageImages = dict[str, np.ndarray]  # as `evaluation.evaluate.encode_montage` writes it
 
 
@@ -56,27 +53,6 @@ def _build_table(images: MontageImages, rows: list[int], words: Wording) -> Mark
         pictures = [(html.encode_pixels(cell.image), cell.head, cell.text) for cell in cells]
         lines.append((name, facts, pictures))
     return html.montage(heads, lines)
-
-
-def plot_montage(images: MontageImages, words: Wording) -> bytes:
-    """Plot the typical contacts as one PNG; the same contacts give the same bytes."""
-    rows, _ = _select_typical(images)
-    cells = [_make_cells(images, row, words) for row in rows]
-    height = 1.85 * len(rows) + 0.15 * any(len(cell.head) >= MAX_LETTERS for cell in cells[0])
-    figure = Figure(figsize=(8.2, height), layout="constrained", dpi=100)
-    panels = figure.subplots(len(rows), len(cells[0]), squeeze=False)
-    for (i, j), axes in np.ndenumerate(panels):
-        cell = cells[i][j]
-        axes.imshow(cell.image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
-        axes.set(xticks=[], yticks=[])
-        axes.set_xlabel(cell.text, fontsize=8)
-        if i == 0:
-            broken = cell.head.replace(" against", "\nagainst")
-            axes.set_title(broken if len(cell.head) >= MAX_LETTERS else cell.head, fontsize=9)
-        if j == 0:
-            text = "\n".join(_describe_contact(images, rows[i], words))
-            axes.set_ylabel(text, rotation=0, ha="right", va="center", fontsize=8)
-    return encode_png(figure)
 
 
 def _select_typical(images: MontageImages) -> tuple[list[int], list[int]]:

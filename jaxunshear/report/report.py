@@ -9,7 +9,7 @@ from markupsafe import Markup
 from jaxunshear.config.networks import UNSHEARING
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
-from jaxunshear.files import write_bytes, write_text
+from jaxunshear.files import write_text
 from jaxunshear.progress import format_duration
 from jaxunshear.report import (
     applications,
@@ -31,7 +31,7 @@ QUANTITIES = {"edge_mm": "distance to the edge"}  # with names of their own on c
 
 
 def write_report(run_dir: Path) -> Path:
-    """Write `report.html` and `montage.png` into `run_dir` and return the path of the page.
+    """Write `report.html` into `run_dir` and return its path.
 
     A missing log leaves out its curves. Runs that unshear nothing have no montage. Raises UserError
     if the run has not been evaluated or its files are damaged.
@@ -49,8 +49,6 @@ def write_report(run_dir: Path) -> Path:
         lead, made = wording.write_lead(results, words), wording.describe_source(results)
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
-    if images:
-        write_bytes(run_dir / "montage.png", montage.plot_montage(images, words))
     path = run_dir / "report.html"
     opening = html.opening(results.experiment, results.claim, lead, made)
     contents = html.build_contents(sections)

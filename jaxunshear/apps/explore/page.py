@@ -8,30 +8,10 @@ from pathlib import Path
 
 from nicegui import app, run, ui
 
+from jaxunshear.apps.explore import tab as tabs
 from jaxunshear.apps.explore.drawing import LONGEST_MM, MAP_PX, MM_PER_N, PINS_PX, STRETCH
-from jaxunshear.apps.explore.explorer import (
-    DEEPEST_MM,
-    FIRST_MOVE,
-    FIRST_POSE,
-    Explorer,
-    Touch,
-)
-from jaxunshear.apps.explore.tab import (
-    COLUMNS,
-    DIFFERENCES,
-    IMAGES,
-    ONE_AT_A_TIME,
-    Tab,
-    lift,
-    on_change,
-    on_file,
-    on_friction,
-    on_map,
-    on_pose,
-    on_stimulus,
-    play,
-    show,
-)
+from jaxunshear.apps.explore.explorer import DEEPEST_MM, FIRST_MOVE, FIRST_POSE, Explorer, Touch
+from jaxunshear.apps.explore.tab import COLUMNS, DIFFERENCES, IMAGES, ONE_AT_A_TIME, Tab
 from jaxunshear.config.sensor import SENSORS
 from jaxunshear.errors import UserError
 
@@ -78,7 +58,7 @@ def build(explorer: Explorer, preparation: Preparation) -> None:
         with tab.parts["results"]:
             tab.parts["problem"] = ui.label("").classes("problem").props('role="alert"')
             _build_pictures(tab)
-    ui.timer(0.05, lambda: on_change(tab), once=True)
+    ui.timer(0.05, lambda: tabs.on_change(tab), once=True)
 
 
 def _build_map(tab: Tab) -> None:
@@ -87,13 +67,17 @@ def _build_map(tab: Tab) -> None:
         tab.parts["map"] = ui.interactive_image(
             size=(MAP_PX, MAP_PX),
             events=mouse_events,
-            on_mouse=lambda event: on_map(tab, event),
+            on_mouse=lambda event: tabs.on_map(tab, event),
             sanitize=False,
         ).classes("map")
         tab.parts["place"] = ui.label("").classes("hint")
         with ui.element("div").classes("buttons"):
-            ui.button("Lift and tap", on_click=lambda: lift(tab)).props("outline dense no-caps")
-            ui.button("Play the slide", on_click=lambda: play(tab)).props("outline dense no-caps")
+            ui.button("Lift and tap", on_click=lambda: tabs.lift(tab)).props(
+                "outline dense no-caps"
+            )
+            ui.button("Play the slide", on_click=lambda: tabs.play(tab)).props(
+                "outline dense no-caps"
+            )
         ui.label(f"red: the force sideways, {MM_PER_N:g} mm per N").classes("hint")
 
 
@@ -104,18 +88,20 @@ def _build_controls(tab: Tab) -> None:
             list(tab.explorer.stimuli),
             value=touch.stimulus.name,
             label="stimulus",
-            on_change=lambda event: on_stimulus(tab, event.value),
+            on_change=lambda event: tabs.on_stimulus(tab, event.value),
         ).props("dense outlined options-dense")
         ui.select(
             list(SENSORS),
             value=touch.sensor.name,
             label="sensor",
-            on_change=lambda event: on_change(tab, sensor=SENSORS[event.value]),
+            on_change=lambda event: tabs.on_change(tab, sensor=SENSORS[event.value]),
         ).props("dense outlined options-dense")
         depth, yaw, friction = touch.pose[3], touch.pose[2], touch.friction
-        _add_number("depth, mm", depth, (0, DEEPEST_MM), 0.1, lambda mm: on_pose(tab, 3, mm))
-        _add_number("yaw, deg", yaw, (-180, 180), 1, lambda deg: on_pose(tab, 2, deg))
-        _add_number("friction", friction, (0, 1.5), 0.05, lambda mu: on_friction(tab, mu))
+        _add_number("depth, mm", depth, (0, DEEPEST_MM), 0.1, lambda mm: tabs.on_pose(tab, 3, mm))
+        _add_number("yaw, deg", yaw, (-180, 180), 1, lambda deg: tabs.on_pose(tab, 2, deg))
+        _add_number(
+            "friction", friction, (0, 1.5), 0.05, lambda mu: tabs.on_change(tab, friction=mu)
+        )
 
 
 def _add_number(
@@ -123,27 +109,35 @@ def _add_number(
     value: float,
     limits: tuple[float, float],
     step: float,
-    change: Callable[[float | None], object],
+    change: Callable[[float], object],
 ) -> None:
-    """Add a number and a slider for it; the number is None while its field is empty."""
-    number = ui.number(label, value=value, step=step, on_change=lambda event: change(event.value))
+    """Add a number, whose field may be empty for a while, and a slider for it."""
+    number = ui.number(
+        label,
+        value=value,
+        step=step,
+        on_change=lambda event: event.value is None or change(float(event.value)),
+    )
     number.props("dense outlined")
     slider = ui.slider(min=limits[0], max=limits[1], step=step)
     slider.props(f'aria-label="{label.partition(",")[0]}" dense').bind_value(number, "value")
 
 
+def _add_image(tab: Tab, name: str, text: str) -> ui.label:
+    with ui.element("figure").classes("card"):
+        ui.label(name).classes("title")
+        tab.parts[name] = ui.interactive_image(size=(1, 1)).classes(
+            f"pixels {name.replace(' ', '-')}"
+        )
+        return ui.label(text).classes("hint")
+
+
 def _build_pictures(tab: Tab) -> None:
     with ui.element("div").classes("pictures"):
         for name, text in IMAGES.items():
-            with ui.element("figure").classes("card"):
-                ui.label(name).classes("title")
-                tab.parts[name] = ui.interactive_image(size=(1, 1)).classes(f"pixels {name}")
-                ui.label(text).classes("hint")
+            _add_image(tab, name, text)
         for heading in DIFFERENCES.values():
-            with ui.element("figure").classes("card"):
-                ui.label(heading).classes("title")
-                tab.parts[heading] = ui.interactive_image(size=(1, 1)).classes("pixels")
-                tab.parts[f"likeness {heading}"] = ui.label("").classes("hint")
+            tab.parts[f"likeness {heading}"] = _add_image(tab, heading, "")
         with ui.element("figure").classes("card"):
             ui.label("dome from below").classes("title")
             tab.parts["dome"] = ui.interactive_image(
@@ -178,7 +172,7 @@ def _build_pictures(tab: Tab) -> None:
                     label="drop one here, or +",
                     auto_upload=True,
                     max_file_size=LARGEST_BYTES,
-                    on_upload=lambda event: on_file(tab, event),
+                    on_upload=lambda event: tabs.on_file(tab, event),
                     on_rejected=lambda: show(
                         tab, None, f"this file is larger than {LARGEST_BYTES // 10**6} MB"
                     ),

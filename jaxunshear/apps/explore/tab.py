@@ -167,18 +167,13 @@ async def on_stimulus(tab: Tab, name: str) -> None:
         await compute(tab)
 
 
-async def on_pose(tab: Tab, index: int, value: float | None) -> None:
-    """Change the yaw (index 2) or the depth (3); the value is None while a field is empty."""
-    if value is not None and value != tab.touch.pose[index]:
+async def on_pose(tab: Tab, index: int, value: float) -> None:
+    """Change the yaw (index 2) or the depth (3)."""
+    if value != tab.touch.pose[index]:
         pose = list(tab.touch.pose)
-        pose[index] = float(value)
+        pose[index] = value
         tab.request(pose=tuple(pose))
         await compute(tab)
-
-
-async def on_friction(tab: Tab, value: float | None) -> None:
-    if value is not None:
-        await on_change(tab, friction=float(value))
 
 
 async def on_change(tab: Tab, **changes: object) -> None:
