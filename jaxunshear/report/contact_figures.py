@@ -24,7 +24,7 @@ from jaxunshear.style import COLOURS, DPI, FAINT, INK, PANEL_IN, STYLE, encode_p
 BINS = 5  # of equally many slides
 SHEARED = "sheared"
 KINDS = ("tap", TARGET_KIND, SHEARED, *UNSHEARING)
-SIZES = {"slide_mm": "length of the slide, mm", "depth_mm": "indentation depth, mm"}
+SIZES = ("slide_mm", "depth_mm")
 Contacts = Mapping[str, np.ndarray]  # (N,) by name
 
 
@@ -61,6 +61,8 @@ def plot_contacts(contacts: Contacts, names: list[str], words: Wording) -> bytes
             _plot_scatter(scatter, contacts, name, kinds)
             for axes, size in zip(others, sizes, strict=True):
                 _plot_errors(axes, contacts, name, size)
+                quantity = words.depth if size == "depth_mm" else "length of the slide"
+                axes.set(xlabel=f"{quantity}, mm", ylabel=f"mean error, {wording.get_unit(name)}")
         handles, shown = panels[columns - 1].get_legend_handles_labels()
         titles = [words.kinds.get(kind, kind) for kind in shown]
         figure.legend(handles, titles, loc="outside upper center", ncols=len(titles))
@@ -90,7 +92,7 @@ def _plot_errors(axes: Axes, contacts: Contacts, name: str, size: str) -> None:
         if (errors := contacts.get(f"pose/{kind}/{name}")) is not None:
             means = [errors[part].mean() for part in parts]
             axes.plot(middle, means, "o-", color=_get_colour(kind), label=kind, markersize=4)
-    axes.set(xlabel=SIZES[size], ylabel=f"mean error, {wording.get_unit(name)}", ylim=(0, None))
+    axes.set_ylim(bottom=0)
 
 
 def _get_colour(kind: str) -> str:
