@@ -53,8 +53,8 @@ DEEPEST_MM, MOST_SLIDE_MM = 6.0, 5.0  # of touches that are compiled beforehand
 FREE, STUCK, SLIPPING = range(3)
 ROUNDING = 1e-3  # of the greatest friction, within which a node slips
 LIMIT_ROUNDING = 1e-6  # mm and deg
-# a slide off the disk's edge, of which networks take most out; the page begins with it
-FIRST_POSE, FIRST_MOVE = (1.0, 0.0, 0.0, 3.0), (2.0, 1.5)
+# a slide on the edge of the disk, all of whose errors `standard` makes less; the page begins with it
+FIRST_POSE, FIRST_MOVE = (0.0, 0.0, 0.0, 3.0), (2.0, 1.5)
 
 
 @dataclass(frozen=True)
