@@ -53,7 +53,7 @@ DEEPEST_MM, MOST_SLIDE_MM = 6.0, 5.0  # of touches that are compiled beforehand
 FREE, STUCK, SLIPPING = range(3)
 ROUNDING = 1e-3  # of the greatest friction, within which a node slips
 LIMIT_ROUNDING = 1e-6  # mm and deg
-# a slide on the edge of the disk, all of whose errors `standard` makes less; the page begins with it
+# the page begins with a slide on the disk's edge, of which `standard` takes out most of all errors
 FIRST_POSE, FIRST_MOVE = (0.0, 0.0, 0.0, 3.0), (2.0, 1.5)
 
 
