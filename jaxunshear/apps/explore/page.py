@@ -173,7 +173,7 @@ def _build_pictures(tab: Tab) -> None:
                     auto_upload=True,
                     max_file_size=LARGEST_BYTES,
                     on_upload=lambda event: tabs.on_file(tab, event),
-                    on_rejected=lambda: show(
+                    on_rejected=lambda: tabs.show(
                         tab, None, f"this file is larger than {LARGEST_BYTES // 10**6} MB"
                     ),
                 ).props("flat bordered hide-upload-btn").classes("drop")
