@@ -70,17 +70,21 @@ def model(tmp_path_factory):
 )
 def test_refusals(command, tmp_path, monkeypatch, model, words, said):
     monkeypatch.chdir(tmp_path)
-    answer = command(*words, "--model", model)
+    answer = command(*words, *name_model(words[0], model))
     assert answer.code == 2 and said in answer.err and "Traceback" not in answer.err
     assert len(answer.err.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())
+
+
+def name_model(command, model):
+    return (model,) if command == "reconstruct" else ("--model", model)
 
 
 @pytest.mark.parametrize("name", ["servo", "geometry", "reconstruct"])
 def test_a_model_that_is_none(command, tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "servo").mkdir()
-    answer = command(name, "--model", tmp_path / "nothing")
+    answer = command(name, *name_model(name, tmp_path / "nothing"))
     assert answer.code == 2 and "experiment.json" in answer.err
 
 

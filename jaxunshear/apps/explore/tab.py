@@ -205,7 +205,7 @@ async def lift(tab: Tab) -> None:
 
 async def play(tab: Tab) -> None:
     """Show the slide step by step, until the sensor is moved by hand."""
-    end, shown = tab.touch, tab.touch
+    end = shown = tab.touch
     for share in np.linspace(0, 1, PLAYED_STEPS + 1).tolist():
         if tab.touch is not shown:
             return
