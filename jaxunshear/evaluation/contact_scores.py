@@ -103,8 +103,8 @@ class Scorer(NamedTuple):
         if outputs.poses:
             poses = {TRUE_KIND: read_true_values(self.targets, batch)}
             poses |= _cut_poses(outputs.poses, len(batch["stimulus"]))
-            for kind in poses.keys() - set(BASELINES):
-                for name, values in poses[kind].items():
+            for kind, pose in poses.items():
+                for name, values in pose.items() if kind not in BASELINES else ():
                     labels[f"pose.{kind}.{name}"] = np.asarray(values)
         return labels
 
