@@ -57,6 +57,7 @@ def build(explorer: Explorer, preparation: Preparation) -> None:
         tab.parts["results"] = ui.element("section").classes("results")
         with tab.parts["results"]:
             tab.parts["problem"] = ui.label("").classes("problem").props('role="alert"')
+            tab.parts["problem"].set_visibility(False)
             _build_pictures(tab)
     ui.timer(0.05, lambda: tabs.on_change(tab), once=True)
 
