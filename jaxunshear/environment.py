@@ -79,7 +79,12 @@ def read_device_count() -> int | None:
 
 
 def keep_compiled_programs() -> None:
-    """Keep what JAX compiles in the user's cache folder, unless a variable names another place."""
+    """Keep what JAX compiles in the user's cache folder, unless a variable names another place.
+
+    To be called before JAX is imported.
+    """
+    # XLA reports an error for each kept program, as tuning flags are no features of the processor
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
