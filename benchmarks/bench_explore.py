@@ -35,8 +35,8 @@ def bench_explore(
     """Return a row for each stimulus: pictures, refused ones, and ms (median, 95 %, largest)."""
     keep_freed_memory()
     explorer = make_explorer(load_model("standard"))
-    if warm:
-        explorer.warm()
+    for touch in explorer.list_touches() if warm else ():
+        explorer.simulate_picture(touch)
     with Progress("bench explore", pictures * len(stimuli), unit="pictures") as progress:
         return [_measure_stimulus(explorer, name, pictures, progress.advance) for name in stimuli]
 

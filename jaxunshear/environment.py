@@ -78,6 +78,20 @@ def read_device_count() -> int | None:
     return None if word == "all" else int(word)
 
 
+def keep_compiled_programs() -> None:
+    """Keep what JAX compiles in the user's cache folder, unless a variable names another place.
+
+    To be called before JAX is imported.
+    """
+    # XLA reports an error for each kept program, as tuning flags are no features of the processor
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    import jax
+
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "programs"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+
+
 def keep_freed_memory() -> None:
     """Make glibc keep large freed blocks, and JAX compute in the calling thread.
 

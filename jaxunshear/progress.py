@@ -8,6 +8,7 @@
 import os
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from functools import cache
 from typing import Self, TextIO
@@ -15,8 +16,11 @@ from typing import Self, TextIO
 from rich import progress
 from rich.console import Console
 
+from jaxunshear.text_table import format_plain
+
 TERMINAL_SECONDS = 0.2
 LOG_SECONDS = 10.0
+STEPS_BEFORE = 4  # a time left is shown
 
 
 class Progress:
@@ -24,6 +28,9 @@ class Progress:
 
     The rate is that of this process, without `done` at the start (resumed work). On a terminal a
     bar is drawn over and over; in a log a full line is written about every ten seconds.
+
+    The first steps compile what all need. The rate and the time left are therefore those of the
+    second half of the steps until now, and the first few have no time left.
     """
 
     def __init__(
@@ -39,6 +46,8 @@ class Progress:
         self._stream = sys.stderr if stream is None else stream
         self._clock = clock
         self._from = done
+        self._steps = 0
+        self._recent: deque[tuple[float, float]] = deque()  # times, and what was done until then
         self._start = self._shown = clock()
         self._bar: progress.Progress | None = None
         if self._stream.isatty() and os.environ.get("TERM") not in ("dumb", "unknown"):
@@ -47,6 +56,7 @@ class Progress:
 
     def __enter__(self) -> Self:
         self._start = self._shown = self._clock()
+        self._recent.append((self._start, self.done))
         if self._bar:
             self._bar.start()
         return self
@@ -54,21 +64,26 @@ class Progress:
     def advance(self, n: float = 1) -> None:
         """Count `n` more; draw if the last drawing is long enough ago."""
         self.done += n
+        self._steps += 1
         now = self._clock()
+        self._recent.append((now, self.done))
+        while len(self._recent) > 2 and self._recent[1][1] <= (self._from + self.done) / 2:
+            self._recent.popleft()
         if now - self._shown >= (TERMINAL_SECONDS if self._bar else LOG_SECONDS):
             self._shown = now
             self._draw(now)
 
     def format_line(self, now: float) -> str:
         """Format a line such as `train: 3200/9600 images, 41.3 images/s, 2 min 35 s left`."""
-        seconds = now - self._start
-        rate = (self.done - self._from) / seconds if seconds > 0 else 0.0
+        ended = self.done >= self.total
+        start, done = (self._start, self._from) if ended or not self._recent else self._recent[0]
+        rate = (self.done - done) / (now - start) if now > start else 0.0
         counts = f"{self.done:.10g}/{self.total:.10g} {self.unit}"
-        text = f"{self.label}: {counts}, {rate:.3g} {self.unit}/s"
-        if self.done < self.total and rate > 0:
+        text = f"{self.label}: {counts}, {format_plain(rate)} {self.unit}/s"
+        if ended:
+            text += f", done in {format_duration(now - self._start)}"
+        elif self._steps >= STEPS_BEFORE and rate > 0:
             text += f", {format_duration((self.total - self.done) / rate)} left"
-        elif self.done >= self.total:
-            text += f", done in {format_duration(seconds)}"
         return text
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

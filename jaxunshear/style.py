@@ -15,6 +15,7 @@ from jaxunshear.config.networks import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 INK, FAINT = "#1c2330", "#8a93a3"
@@ -69,6 +70,23 @@ def encode_svg(figure: "Figure") -> str:
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
     text = buffer.getvalue()
     return text[text.index("<svg") :]
+
+
+def label_log_axis(axis: "Axis") -> None:
+    """Label a logarithmic axis, whose data are drawn, with plain numbers."""
+    import numpy as np
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    steps = [1, 2, 5, 10]
+    # 1, 2, 5, 10 would leave a shorter axis with a label or none
+    axis.set_major_locator(
+        LogLocator(subs=(1, 2, 5)) if high > 5 * low else MaxNLocator(4, steps=steps)
+    )
+    axis.set_major_formatter(
+        FuncFormatter(lambda value, _: np.format_float_positional(float(f"{value:.6g}"), trim="-"))
+    )
+    axis.set_minor_formatter(NullFormatter())
 
 
 def make_panels(

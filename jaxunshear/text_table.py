@@ -32,4 +32,10 @@ def format_text_table(rows: Sequence[Json], columns: Sequence[str]) -> str:
 def _format_cell(value: object) -> str:
     if value is None:
         return "-"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return format_plain(value) if isinstance(value, float) else str(value)
+
+
+def format_plain(value: float) -> str:
+    """Format a number to three digits, and a larger one to its last digit before the point."""
+    text = f"{value:.3g}"
+    return f"{value:.0f}" if "e+" in text else text

@@ -70,17 +70,21 @@ def model(tmp_path_factory):
 )
 def test_refusals(command, tmp_path, monkeypatch, model, words, said):
     monkeypatch.chdir(tmp_path)
-    answer = command(*words, "--model", model)
+    answer = command(*words, *name_model(words[0], model))
     assert answer.code == 2 and said in answer.err and "Traceback" not in answer.err
     assert len(answer.err.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())
+
+
+def name_model(command, model):
+    return (model,) if command == "reconstruct" else ("--model", model)
 
 
 @pytest.mark.parametrize("name", ["servo", "geometry", "reconstruct"])
 def test_a_model_that_is_none(command, tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "servo").mkdir()
-    answer = command(name, "--model", tmp_path / "nothing")
+    answer = command(name, *name_model(name, tmp_path / "nothing"))
     assert answer.code == 2 and "experiment.json" in answer.err
 
 
@@ -119,18 +123,18 @@ def test_servo_then_reconstruct(command, brief, tmp_path, model):
     assert all(0 <= row["completed"] < 0.1 and row["closed"] == 0 for row in rows)
     assert all(row["mean_mm"] < 9 for row in rows)
     assert Image.open(out / "disk.png").size[0] > 300
-    answer = command("reconstruct", *words)
+    answer = command("reconstruct", *words[1:])
     assert answer.code == 0, answer.err
     found = json.loads((out / "reconstruct.json").read_text())
     assert len(found["rows"]) == 6 and all(0 <= row["iou"] < 0.4 for row in found["rows"])
     assert {row["object"] for row in found["rows"]} == {"voronoi", "skin"}
     assert all((out / f"disk-{name}.png").is_file() for name in ("skin", "voronoi"))
-    answer = command("reconstruct", *words[:-1], "disk,leaf")
+    answer = command("reconstruct", *words[1:-1], "disk,leaf")
     assert answer.code == 2 and "--stimulus leaf" in answer.err
     course, walks = servo.load_trajectories(out / "disk.npz")
     walks.end[0] = servo.WALKING
     servo._save(out / "disk.npz", course, walks)
-    answer = command("reconstruct", *words)
+    answer = command("reconstruct", *words[1:])
     assert answer.code == 2 and "not finished" in answer.err
     other = run_of(tmp_path, 128, seed=1)
     answer = command("servo", "--model", other, *words[2:], "--starts", 1)
@@ -186,7 +190,7 @@ def test_images_too_small_to_show_pins_are_refused(command, brief, tmp_path):
     walks, small = tmp_path / "walks", run_of(tmp_path, 32)
     words = ("--model", small, "--out", walks)
     assert command("servo", *words, "--stimulus", "disk", "--starts", 1, "--ways", "true").code == 0
-    answer = command("reconstruct", *words)
+    answer = command("reconstruct", *words[1:])
     assert answer.code == 2 and "of 32 px: use a model of larger images" in answer.err
 
 

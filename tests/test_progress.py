@@ -57,7 +57,8 @@ def test_a_terminal_gets_one_line_redrawn_at_most_five_times_a_second(columns, m
     assert text.count("\n") == 1
     drawings = plain(text).splitlines()
     assert max(map(len, drawings)) <= columns
-    assert drawings[1].startswith("train: 20/1000 images, 100 images/s, 10 s left ")
+    assert drawings[1].startswith("train: 20/1000 images, 100 images/s ")
+    assert drawings[2].startswith("train: 40/1000 images, 100 images/s, 10 s left ")
     assert drawings[-1].startswith("train: 1000/1000 images, 100 images/s, done in 1")
     assert columns < 80 or re.search(" ━+$", drawings[-1])
 
@@ -74,6 +75,18 @@ def test_a_bar_in_a_bar_and_a_line_between_leave_lines_in_their_order():
     left = [line.split("\r")[-1] for line in plain(stream.getvalue()).split("\n")]
     shown = ["said", "in: 1/1 images", "out [red]: 2/2 images", ""]
     assert [line.split(",")[0] for line in left] == shown
+
+
+def test_first_steps_that_compile_are_not_extrapolated():
+    stream, clock = io.StringIO(), Clock()
+    with Progress("servo", total=400, unit="steps", stream=stream, clock=clock) as progress:
+        for seconds in [60, 30] + [0.5] * 398:
+            clock.now += seconds
+            progress.advance()
+    lines = stream.getvalue().splitlines()
+    assert [line for line in lines[:2] if "left" in line] == []
+    assert lines[2] == "servo: 22/400 steps, 2 steps/s, 3 min 09 s left"
+    assert lines[-1].endswith("done in 4 min 49 s")
 
 
 def test_resumed_work_does_not_count_towards_the_rate():

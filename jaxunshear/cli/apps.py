@@ -19,6 +19,7 @@ from jaxunshear.cli.models import (
     parse_stimuli,
 )
 from jaxunshear.cli.program import Command, flag, integer, json_file, option, path
+from jaxunshear.environment import keep_compiled_programs
 from jaxunshear.errors import UserError
 from jaxunshear.files import explain_os_error
 from jaxunshear.output_checks import (
@@ -151,6 +152,7 @@ def explore(arguments: argparse.Namespace, command: str) -> int:
             pass
     except OSError as error:
         raise UserError(f"--port {port} cannot be had ({error.strerror}): name another") from None
+    keep_compiled_programs()
     from jaxunshear.apps.explore.explorer import make_explorer
     from jaxunshear.inference.trained_model import load_model
     from jaxunshear.simulator.stimuli import make_stimulus
@@ -158,7 +160,6 @@ def explore(arguments: argparse.Namespace, command: str) -> int:
     stimuli = parse_stimuli(arguments.stimulus) if arguments.stimulus else ()
     model = load_model(arguments.model, arguments.like)
     explorer = make_explorer(model, tuple(map(make_stimulus, stimuli)))
-    explorer.warm()
     from jaxunshear.apps.explore.page import HOST, serve  # the extra is imported here alone
 
     print(f"http://{HOST}:{port} (Ctrl+C ends it)", flush=True)

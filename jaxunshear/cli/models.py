@@ -141,14 +141,15 @@ def geometry(arguments: argparse.Namespace, out: Path, model: "TrainedModel") ->
         read_recordings(arguments.path, Preprocess())
         check_not_among(arguments.path, out, "--out")
     scores = score_geometry(model, arguments.contacts)
-    names = model.require_simulation("geometry").names
-    figure = plot_contacts(model.lattice, names, scores.contacts, scores.geometry)
+    paired, rest = model.require_simulation("geometry"), model.lattice.rest
+    places_mm = (rest - rest.mean(0)) * paired.camera.mm_across / paired.preprocess.size
+    figure = plot_contacts(places_mm, paired.names, scores.contacts, scores.geometry)
     write_bytes(out / "geometry.png", figure)
     print(format_text_table([to_builtins(row) for row in scores.table.rows], GEOMETRY_COLUMNS))
     print(out / "geometry.png")
     if arguments.path is not None:
         heights = estimate_recorded_heights(arguments.path, model, scores)
-        write_bytes(out / "recordings.png", plot_recordings(model.lattice, heights))
+        write_bytes(out / "recordings.png", plot_recordings(places_mm, heights))
         print(out / "recordings.png")
     return scores.table
 
@@ -323,8 +324,14 @@ COMMANDS = (
     _make_command(
         reconstruct,
         "complete objects from the walks that `servo` left",
-        "where they are, and results go",
-        MODEL,
+        "where they are, and results go (the run's servo)",
+        path(
+            "model",
+            "RUN",
+            "a finished run (runs/demo), or released weights by name (standard)",
+            nargs="?",
+            default=Path("standard"),
+        ),
         STIMULUS,
     ),
 )

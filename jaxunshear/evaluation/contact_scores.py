@@ -20,6 +20,7 @@ from jaxunshear.evaluation.network_outputs import Run
 from jaxunshear.evaluation.pose_estimators import RidgeEstimator, estimate_poses
 from jaxunshear.evaluation.score import (
     BASELINES,
+    TRUE_KIND,
     Outputs,
     compute_differences,
     concatenate_batches,
@@ -96,6 +97,17 @@ class Scorer(NamedTuple):
             scores |= score_poses(poses, true, f"read/{name}")
         return outputs, scores
 
+    def label_poses(self, batch: Batch, outputs: Outputs) -> dict[str, np.ndarray]:
+        """Return the true and the predicted values (B,) as labels `pose.<kind>.<quantity>`."""
+        labels = {}
+        if outputs.poses:
+            poses = {TRUE_KIND: read_true_values(self.targets, batch)}
+            poses |= _cut_poses(outputs.poses, len(batch["stimulus"]))
+            for kind, pose in poses.items():
+                for name, values in pose.items() if kind not in BASELINES else ():
+                    labels[f"pose.{kind}.{name}"] = np.asarray(values)
+        return labels
+
 
 def score_test(scorer: Scorer, test: TestSet) -> ContactScores:
     """Score all contacts of a test."""
@@ -109,7 +121,8 @@ def score_test(scorer: Scorer, test: TestSet) -> ContactScores:
             inside = kept_rows[(kept_rows >= start) & (kept_rows < start + size)] - start
             arrays = {
                 "scores": scores,
-                "labels": {name: np.asarray(batch[name]) for name in test.labels},
+                "labels": {name: np.asarray(batch[name]) for name in test.labels}
+                | scorer.label_poses(batch, outputs),
                 "images": {
                     kind: to_uint8(np.asarray(image)[inside, ..., 0])
                     for kind, image in outputs.images.items()

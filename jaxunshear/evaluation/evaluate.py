@@ -93,12 +93,19 @@ def _time_network(folder: Path) -> dict[str, float]:
 
 
 def encode_scores(contacts: ContactScores) -> bytes:
-    """Encode all scores as npz, with the labels `stimulus`, `pose_id`, and SMOOTH if known.
+    """Encode all scores as npz, with labels, among them poses.
 
-    All are (N,) by name.
+    Labels are `stimulus`, `pose_id`, SMOOTH if known, the poses as `Scorer.label_poses` names them,
+    and of slides `slide_mm` and `depth_mm`. All are (N,) by name.
     """
-    names = [name for name in ("stimulus", "pose_id", SMOOTH) if name in contacts.labels]
-    return _encode_npz({**contacts.scores, **{name: contacts.labels[name] for name in names}})
+    labels, kept = contacts.labels, ("stimulus", "pose_id", SMOOTH)
+    arrays = {
+        name: value for name, value in labels.items() if name in kept or name.startswith("pose.")
+    }
+    if "move" in labels:
+        arrays["slide_mm"] = np.hypot(*labels["move"][:, :2].T)
+        arrays["depth_mm"] = labels["pose"][:, 3]
+    return _encode_npz({**contacts.scores, **arrays})
 
 
 def encode_montage(names: tuple[str, ...], contacts: ContactScores) -> bytes:

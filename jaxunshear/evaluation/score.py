@@ -15,6 +15,7 @@ from jaxunshear.config.networks import DISENTANGLED, UNSHEARING
 from jaxunshear.config.targets import Targets
 from jaxunshear.metrics import compute_pose_errors, count_scales, ms_ssim, mse, ssim
 
+TRUE_KIND = "true"  # of the true values among poses
 BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
 DIRECT_KIND = "sheared_learnt"  # poses by a PoseNet that learned from sheared images
 SMOOTH = "smooth"  # label of contacts whose nearest edge has one direction

@@ -5,10 +5,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon
 
 from jaxunshear.config.networks import REGISTRY, UNSHEARING
 from jaxunshear.data.recorded_pins import ShownImage
@@ -36,8 +40,21 @@ PICTURES = {  # by shape estimator: the end of a file's name, and the subject of
     VORONOI: ("voronoi", "how the pins' cells have grown (red) or shrunk (blue)"),
 }
 MATCH, MISSED, SURPLUS = (0.75,) * 3, (1.0, 0.48, 0.1), (0.25, 0.59, 1.0)
+SHAPE_KEYS = [
+    Patch(color=MATCH, label="object, found"),
+    Patch(color=MISSED, label="object, missed"),
+    Patch(color=SURPLUS, label="found beside it"),
+    Line2D([], [], color="0.3", linewidth=0.6, label="true outline (above)"),
+]
+WALK_KEYS = [
+    Patch(facecolor="0.9", edgecolor="0.6", label="object"),
+    Line2D([], [], color="C0", linewidth=0.9, label="a walk in each colour"),
+    Line2D([], [], linestyle="", marker="o", color="red", markersize=4, label="start"),
+    Line2D([], [], linestyle="", marker="x", color="black", label="end, not closed"),
+]
 SURFACE_CELLS, SURFACE_IN = 48, 2.7
 TRUTH = "true indentation"
+TICKS_MM = (-10, 0, 10)
 VIEW = {"elev": 42, "azim": -60}
 PIN_COLUMNS = 4
 METHOD_TITLES = {
@@ -49,21 +66,31 @@ METHOD_TITLES = {
 
 
 def plot_trajectories(walks: Trajectories, line: Contour, stimulus: str) -> bytes:
-    """Plot a panel for each method as a PNG, with all its walks over the object.
-
-    A red dot marks a start, as in the paper; a cross marks an end that did not close the outline.
-    """
+    """Plot a panel for each method as a PNG, with all its walks over the object."""
     methods = list(dict.fromkeys(walks.method.tolist()))
     columns = min(ABREAST, len(methods))
-    figure, panels = make_panels(len(methods), columns, (PANEL_IN, PANEL_IN + 0.3), 0.3, DPI)
+    figure, panels = make_panels(len(methods), columns, (PANEL_IN, PANEL_IN + 0.5), 0.9, DPI)
     for axes, method in zip(panels, methods, strict=True):
         axes.add_patch(Polygon(line.points, facecolor="0.9", edgecolor="0.6", linewidth=0.8))
         _plot_walks(axes, walks, method)
         axes.set_aspect("equal")
-        axes.tick_params(labelsize=LABEL)
-    title = wrap_title(f"{stimulus}: the sensor's way, mm (simulated)", columns)
+        _label_mm(axes)
+    title = wrap_title(f"{stimulus}: the sensor's way (simulated)", columns)
     figure.suptitle(title, fontsize=HEAD + 1)
+    _add_keys(figure, WALK_KEYS, columns)
     return encode_png(figure)
+
+
+def _label_mm(axes: Axes) -> None:
+    axes.tick_params(labelsize=LABEL)
+    axes.set_xlabel("x, mm", fontsize=LABEL)
+    axes.set_ylabel("y, mm", fontsize=LABEL)
+
+
+def _add_keys(figure: Figure, keys: list[Artist], columns: int) -> None:
+    figure.legend(
+        handles=keys, loc="outside lower center", ncols=2 * columns, fontsize=LABEL, frameon=False
+    )
 
 
 def _plot_walks(axes: Axes, walks: Trajectories, method: str) -> None:
@@ -94,10 +121,11 @@ def plot_objects(stimulus: str, objects: dict[str, ReconstructedObject], subject
         above.set_title(METHOD_TITLES.get(method, method), fontsize=HEAD)
         _plot_shapes(below, solid)
         for axes in (above, below):
-            axes.tick_params(labelsize=LABEL)
+            _label_mm(axes)
             _zoom(axes, solid)
-    text = f"{stimulus}: {subject}, and the shape made of it (simulated), mm"
+    text = f"{stimulus}: {subject}, and the shape made of it (simulated)"
     figure.suptitle(wrap_title(text, columns), fontsize=HEAD + 1)
+    _add_keys(figure, SHAPE_KEYS, columns)
     return encode_png(figure)
 
 
@@ -108,8 +136,18 @@ def _plot_values(axes: Axes, solid: ReconstructedObject) -> None:
     span = np.percentile(np.abs(values[measured] - level), 98) if measured.any() else 1.0
     span = max(float(span), 1e-9)
     low, high, extent = level - span, level + span, (line[0], line[-1], line[0], line[-1])
-    axes.imshow(values, origin="lower", extent=extent, cmap="RdBu_r", vmin=low, vmax=high)
+    image = axes.imshow(values, origin="lower", extent=extent, cmap="RdBu_r", vmin=low, vmax=high)
+    _add_scale(image, [axes], "growth of cells" if solid.level is None else "height, mm")
     axes.contour(line, line, solid.true, levels=[0.5], colors="0.3", linewidths=0.6)
+
+
+def _add_scale(
+    image: ScalarMappable, panels: list[Axes], text: str, fontsize: float = LABEL
+) -> None:
+    """Add a scale of colours to the right of panels."""
+    scale = panels[0].figure.colorbar(image, ax=panels, shrink=0.7, pad=0.02, aspect=16)
+    scale.set_label(text, fontsize=fontsize)
+    scale.ax.tick_params(labelsize=fontsize)
 
 
 def _plot_shapes(axes: Axes, solid: ReconstructedObject) -> None:
@@ -140,11 +178,12 @@ class SurfaceRow(NamedTuple):
 
 
 def plot_contacts(
-    lattice: Lattice, names: tuple[str, ...], contacts: SimulatedContacts, geometry: Geometry
+    places_mm: np.ndarray, names: tuple[str, ...], contacts: SimulatedContacts, geometry: Geometry
 ) -> bytes:
     """Plot one contact of every stimulus as a PNG, with a row for each method.
 
-    The contact is the one of median correlation between its sheared geometry and the truth.
+    `places_mm` (P, 2) are the pins' rest positions. The contact is the one of median correlation
+    between its sheared geometry and the truth.
     """
     truth = contacts.indentation_mm
     height = {key: each for key, each in geometry.height_mm.items() if key[0] != UNTOUCHED}
@@ -160,37 +199,38 @@ def plot_contacts(
             for method in HEIGHT_METHODS:
                 heights = {kind: height[kind, method][contact] for kind in kinds}
                 rows.append(SurfaceRow(f"{name}, {method}", {TRUTH: truth[contact], **heights}))
-    return _plot_surfaces(lattice, rows)
+    return _plot_surfaces(places_mm, rows)
 
 
-def plot_recordings(lattice: Lattice, shown: tuple[list[str], dict[str, np.ndarray]]) -> bytes:
+def plot_recordings(places_mm: np.ndarray, shown: tuple[list[str], dict[str, np.ndarray]]) -> bytes:
     """Plot a row of surfaces for each recorded image as a PNG, without truth."""
     names, kinds = shown
     rows = []
     for i, name in enumerate(names):
         rows.append(SurfaceRow(name, {kind: height[i] for kind, height in kinds.items()}))
-    return _plot_surfaces(lattice, rows)
+    return _plot_surfaces(places_mm, rows)
 
 
-def _plot_surfaces(lattice: Lattice, rows: list[SurfaceRow]) -> bytes:
+def _plot_surfaces(places_mm: np.ndarray, rows: list[SurfaceRow]) -> bytes:
     columns = len(rows[0].heights) if rows else 1
     width = SURFACE_IN * columns
     figure = Figure(figsize=(width, 2.6 * max(1, len(rows))), layout="constrained", dpi=DPI)
     fontsize = LABEL * max(1, width / (ABREAST * PANEL_IN))  # a page shrinks wider pictures
-    place = 0
+    place, panels = 0, []
     for row in rows:
         known = [height for height in row.heights.values() if not np.isnan(height[0])]
         span = np.percentile(np.concatenate(known or [np.zeros(2)]), [0.5, 99.5])
         for column, (kind, height) in enumerate(row.heights.items()):
             place += 1
             axes = figure.add_subplot(len(rows), columns, place, projection="3d")
-            axes.set_axis_off()
+            panels.append(axes)
             title = kind if place <= columns else ""
             if np.isnan(height[0]):
                 middle = {"ha": "center", "transform": axes.transAxes, "fontsize": fontsize}
+                axes.set_axis_off()
                 axes.text2D(0.5, 0.5, "pins not sure", **middle)
             else:
-                _plot_surface(axes, lattice, height, span)
+                _plot_surface(axes, places_mm, height, span)
                 if TRUTH in row.heights and kind != TRUTH:
                     correlation = compute_correlation(height[None], row.heights[TRUTH][None])[0]
                     title += f"\ncorrelation {correlation:.2f}"
@@ -198,16 +238,23 @@ def _plot_surfaces(lattice: Lattice, rows: list[SurfaceRow]) -> bytes:
             if column == 0:
                 name = row.name[-30:]
                 axes.text2D(0.0, 0.92, name, transform=axes.transAxes, fontsize=fontsize)
+        scale = ScalarMappable(Normalize(*span), "viridis")
+        _add_scale(scale, panels[-columns:], "indentation, mm", fontsize)
     return encode_png(figure)
 
 
-def _plot_surface(axes: Any, lattice: Lattice, height: np.ndarray, span: np.ndarray) -> None:
-    low, high = lattice.rest.min(axis=0), lattice.rest.max(axis=0)
+def _plot_surface(axes: Any, places_mm: np.ndarray, height: np.ndarray, span: np.ndarray) -> None:
+    low, high = places_mm.min(axis=0), places_mm.max(axis=0)
     x, y = np.meshgrid(*(np.linspace(low[i], high[i], SURFACE_CELLS) for i in (0, 1)))
-    z = interpolate_surface(lattice.rest, height, SURFACE_CELLS)
+    z = interpolate_surface(places_mm, height, SURFACE_CELLS)
     strides = {"rstride": 1, "cstride": 1, "lw": 0}
     axes.plot_surface(x, -y, z, cmap="viridis", vmin=span[0], vmax=span[1], **strides)
     axes.set_zlim(*span)
+    axes.set(xticks=TICKS_MM, yticks=TICKS_MM, zticks=[])
+    axes.tick_params(labelsize=LABEL, pad=-3)
+    axes.set_xlabel("x, mm", fontsize=LABEL, labelpad=-7)
+    axes.set_ylabel("y, mm", fontsize=LABEL, labelpad=-7)
+    axes.set_box_aspect(None, zoom=0.85)
     axes.view_init(**VIEW)
 
 

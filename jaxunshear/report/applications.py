@@ -9,7 +9,12 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
 from jaxunshear.report import html
 from jaxunshear.report.application_figures import METHOD_TITLES, PICTURES
-from jaxunshear.report.html import format_number, format_with_interval
+from jaxunshear.report.html import (
+    format_cells,
+    format_number,
+    format_paper_headings,
+    format_with_interval,
+)
 from jaxunshear.report.wording import section
 from jaxunshear.results.record_files import find_results_folder
 
@@ -18,9 +23,12 @@ KINDS = {"tap": "tap", "sheared": "sheared", "untouched": "untouched"} | {
 }
 
 
-def build_sections(run_dir: Path) -> list[Markup]:
-    """Build the sections of commands that have been run. Raises UserError on damaged files."""
-    sections = []
+def build_sections(run_dir: Path) -> dict[str, Markup]:
+    """Build the sections of commands that have been run, by their file.
+
+    Raises UserError on damaged files.
+    """
+    sections = {}
     for name, build_body in BODIES.items():
         folder = find_results_folder(run_dir, name)
         file = folder / f"{name}.json"
@@ -29,9 +37,9 @@ def build_sections(run_dir: Path) -> list[Markup]:
         results = read_object(file)
         try:
             body = [*build_body(results, folder), html.code(results["command"])]
-            sections.append(section(name, *body))
+            sections[name] = section(name, *body)
         except (KeyError, TypeError, AttributeError) as error:
-            remedy = f"run `jaxunshear {name}` again, or delete it"
+            remedy = "run its command again, or delete it"
             raise UserError(f"{file} lacks {error}: {remedy}") from error
     return sections
 
@@ -94,10 +102,23 @@ def _show_stream(results: Json, folder: Path) -> list[Markup]:
     return [html.table(("frames", ""), rows)]
 
 
+def _show_ablation(results: Json, folder: Path) -> list[Markup]:
+    digits = {"mse": 3, "ssim": 3, "ms_ssim": 3}
+    rows = []
+    for row in results["rows"]:
+        spans = {name: row.get(f"{name} interval") for name in digits}
+        paper = [format_number((row["paper"] or {}).get(name), 3) for name in ("mse", "ms_ssim")]
+        rows.append([row["name"], row["target"], *format_cells(row, spans, digits), *paper])
+    metrics = ["MSE", "SSIM", results["metric"]["ms_ssim"]]
+    head = ["decoder(codes)", "should draw", *metrics, *format_paper_headings(("MSE", "MS-SSIM"))]
+    return [html.table(head, rows, (5, 6)), _embed_png(folder / "leakage.png")]
+
+
 BODIES = {
     "geometry": _show_geometry,
     "servo": _show_trajectories,
     "reconstruct": _show_objects,
+    "ablation": _show_ablation,
     "stream": _show_stream,
 }
 

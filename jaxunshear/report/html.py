@@ -29,10 +29,16 @@ def get_macro(name: str) -> Callable[..., Markup]:
     return getattr(_MACROS, name)
 
 
-page, opening, compared = map(get_macro, ("page", "opening", "compared"))
+page, opening, contents, compared = map(get_macro, ("page", "opening", "contents", "compared"))
 section, card, cards, table = map(get_macro, ("section", "card", "cards", "table"))
 montage, caption, figure = map(get_macro, ("montage", "caption", "figure"))
 folded, listed, row, soft, code = map(get_macro, ("folded", "listed", "row", "soft", "code"))
+
+
+def build_contents(sections: Iterable[Markup]) -> Markup:
+    """Build links to the headings of sections."""
+    headings = re.findall(r'<h2 id="(.*?)">(.*?)</h2>', "".join(sections))
+    return contents([(Markup(place), Markup(heading)) for place, heading in headings])
 
 
 def embed_svg(svg: str, text: str) -> Markup:

@@ -1,22 +1,18 @@
-"""Sheared, unsheared and tapped images side by side, for the report and as one picture."""
+"""Sheared, unsheared and tapped images side by side, for the report."""
 
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import BROKEN_NPZ, read_npz
+from jaxunshear.perception.drawing import MISSING, SURPLUS, compare_images
 from jaxunshear.report import html
 from jaxunshear.report.wording import Wording, section
-from jaxunshear.style import encode_png
 
-MISSING = (255, 122, 26)  # orange: only the tap is bright
-SURPLUS = (64, 150, 255)  # blue: only the image is bright
-MAX_LETTERS = 22  # in one line of a heading above an image
 MontageImages = dict[str, np.ndarray]  # as `evaluation.evaluate.encode_montage` writes it
 
 
@@ -59,27 +55,6 @@ def _build_table(images: MontageImages, rows: list[int], words: Wording) -> Mark
     return html.montage(heads, lines)
 
 
-def plot_montage(images: MontageImages, words: Wording) -> bytes:
-    """Plot the typical contacts as one PNG; the same contacts give the same bytes."""
-    rows, _ = _select_typical(images)
-    cells = [_make_cells(images, row, words) for row in rows]
-    height = 1.85 * len(rows) + 0.15 * any(len(cell.head) >= MAX_LETTERS for cell in cells[0])
-    figure = Figure(figsize=(8.2, height), layout="constrained", dpi=100)
-    panels = figure.subplots(len(rows), len(cells[0]), squeeze=False)
-    for (i, j), axes in np.ndenumerate(panels):
-        cell = cells[i][j]
-        axes.imshow(cell.image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
-        axes.set(xticks=[], yticks=[])
-        axes.set_xlabel(cell.text, fontsize=8)
-        if i == 0:
-            broken = cell.head.replace(" against", "\nagainst")
-            axes.set_title(broken if len(cell.head) >= MAX_LETTERS else cell.head, fontsize=9)
-        if j == 0:
-            text = "\n".join(_describe_contact(images, rows[i], words))
-            axes.set_ylabel(text, rotation=0, ha="right", va="center", fontsize=8)
-    return encode_png(figure)
-
-
 def _select_typical(images: MontageImages) -> tuple[list[int], list[int]]:
     """Select the rows of the middle contact of every stimulus, and the other rows."""
     middle, others = [], []
@@ -111,15 +86,3 @@ def _describe_contact(images: MontageImages, row: int, words: Wording) -> list[s
         if np.isfinite(value):
             lines.append(f"{name} {value:.1f} mm")
     return lines
-
-
-def compare_images(image: np.ndarray, tap: np.ndarray) -> np.ndarray:
-    """Colour the differences of two images (H, W) uint8; returns (H, W, 3) uint8.
-
-    What both share is grey, and the rest has the colours `MISSING` and `SURPLUS`.
-    """
-    a, b = image.astype(np.float32)[..., None] / 255, tap.astype(np.float32)[..., None] / 255
-    shared = np.minimum(a, b) * 90
-    missing = np.clip(b - a, 0, 1) * np.array(MISSING, np.float32)
-    surplus = np.clip(a - b, 0, 1) * np.array(SURPLUS, np.float32)
-    return np.clip(np.rint(shared + missing + surplus), 0, 255).astype(np.uint8)

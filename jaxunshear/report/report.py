@@ -10,10 +10,11 @@ from jaxunshear.config.networks import UNSHEARING
 from jaxunshear.config.targets import get_unit
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
-from jaxunshear.files import write_bytes, write_text
+from jaxunshear.files import write_text
 from jaxunshear.progress import format_duration
 from jaxunshear.report import (
     applications,
+    contact_figures,
     html,
     montage,
     pose_section,
@@ -31,7 +32,7 @@ QUANTITIES = {"edge_mm": "distance to the edge"}  # with names of their own on c
 
 
 def write_report(run_dir: Path) -> Path:
-    """Write `report.html` and `montage.png` into `run_dir` and return the path of the page.
+    """Write `report.html` into `run_dir` and return its path.
 
     A missing log leaves out its curves. Runs that unshear nothing have no montage. Raises UserError
     if the run has not been evaluated or its files are damaged.
@@ -39,36 +40,47 @@ def write_report(run_dir: Path) -> Path:
     run_dir = Path(run_dir)
     results = read_record(run_dir / "results.json", Results, EVALUATE_REMEDY)
     results = replace(results, time_s={**results.time_s, **read_times(run_dir)})
-    trainings = training_sections.read_trainings(run_dir)
     try:
         words = wording.describe(results)
         images = montage.read_montage(run_dir / "montage.npz") if results.ms_ssim else None
-        sections = [  # in the order of the page; empty ones have nothing to show
-            html.opening(results.experiment, results.claim, wording.write_lead(results, words)),
-            build_headlines(results, words),
-            montage.build_section(images, words) if images else Markup(),
-            score_sections.build_similarity_section(results, words),
-            pose_section.build_pose_section(results, words),
-            score_sections.build_estimators_section(results, words),
-            score_sections.build_further_tests(results, words),
-            score_sections.build_pin_section(results, words),
-            recordings_section.build_recordings_section(results),
-            recordings_section.build_pairing_section(results, words),
-            recordings_section.build_bounds_section(results, words),
-            score_sections.build_swap_section(results, words),
-            *applications.build_sections(run_dir),
-            training_sections.build_training_section(trainings),
-            training_sections.build_times_section(results, words, trainings),
-            training_sections.build_contacts_section(results),
-            training_sections.build_provenance_section(results),
-        ]
+        head = build_headlines(results, words)
+        sections = _build_sections(run_dir, results, words)
+        if images:
+            sections.insert(0, montage.build_section(images, words))
+        lead, made = wording.write_lead(results, words), wording.describe_source(results)
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
-    if images:
-        write_bytes(run_dir / "montage.png", montage.plot_montage(images, words))
     path = run_dir / "report.html"
-    write_text(path, html.page(f"jaxunshear: {results.experiment}", *filter(None, sections)))
+    opening = html.opening(results.experiment, results.claim, lead, made)
+    contents = html.build_contents(sections)
+    page = html.page(f"jaxunshear: {results.experiment}", opening, contents, head, *sections)
+    write_text(path, page)
     return path
+
+
+def _build_sections(run_dir: Path, results: Results, words: Wording) -> list[Markup]:
+    """Build the sections below the montage in the order of the page, without empty ones."""
+    trainings = training_sections.read_trainings(run_dir)
+    applied = applications.build_sections(run_dir)
+    sections = [
+        applied.pop("servo", Markup()),  # first, as it shows best what unsheared images are for
+        score_sections.build_similarity_section(results, words),
+        pose_section.build_pose_section(results, words),
+        contact_figures.build_contact_section(run_dir, words),
+        score_sections.build_estimators_section(results, words),
+        score_sections.build_further_tests(results, words),
+        score_sections.build_pin_section(results, words),
+        recordings_section.build_recordings_section(results),
+        recordings_section.build_pairing_section(results, words),
+        recordings_section.build_bounds_section(results, words),
+        score_sections.build_swap_section(results, words),
+        *applied.values(),
+        training_sections.build_training_section(trainings),
+        training_sections.build_times_section(results, words, trainings),
+        training_sections.build_contacts_section(results),
+        training_sections.build_provenance_section(results),
+    ]
+    return [section for section in sections if section]
 
 
 def build_headlines(results: Results, words: Wording) -> Markup:

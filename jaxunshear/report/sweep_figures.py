@@ -12,12 +12,21 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
 from jaxunshear.config.networks import DISENTANGLED, TEACHER
 from jaxunshear.results.sweep import CellResult, Figures, SweepResult
-from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE, encode_png, make_panels
+from jaxunshear.style import (
+    COLOURS,
+    FAINT,
+    INK,
+    LABEL,
+    STYLE,
+    encode_png,
+    label_log_axis,
+    make_panels,
+)
+from jaxunshear.text_table import format_plain
 
 SHOWN_METRICS = (  # in this order; a metric that is equal in all cells is left out
     "ms_ssim/*",
@@ -122,7 +131,7 @@ def _plot_heat_map(axes: Axes, summary: SweepResult, name: str) -> None:
         colour, text = FAINT, "none" if cell.seeds else "failed"
         if name in figures:
             dark = float(np.asarray(image.norm(values[row, column]))) < 0.6
-            colour, text = "white" if dark else INK, f"{values[row, column]:.3g}"
+            colour, text = "white" if dark else INK, format_plain(values[row, column])
             if cell.failures:
                 text += f"\n{len(cell.seeds)} of {len(summary.seeds)}"
         axes.text(column, row, text, color=colour, fontsize=9, ha="center", va="center")
@@ -272,10 +281,8 @@ def plot_frontier(summary: SweepResult) -> bytes | None:
         for row, (cost, cost_label) in zip(panels, COSTS.items(), strict=True):
             for axes, metric in zip(row, metrics, strict=True):
                 axes.set(xlabel=cost_label, ylabel=ERRORS[metric][0], xscale="log")
-                axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-                axes.xaxis.set_major_formatter("{x:g}")
-                axes.xaxis.set_minor_formatter(NullFormatter())
                 plot_panel(axes, summary, metric, cost, numbers)
+                label_log_axis(axes.xaxis)
         seeds = f"{len(summary.seeds)} seed{'s' * (len(summary.seeds) > 1)}"
         figure.suptitle(f"{summary.sweep}: means over {seeds}; joined: beaten by none")
         legend = "      ".join(f"{number} {label}" for label, number in numbers.items())

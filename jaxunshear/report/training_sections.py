@@ -7,7 +7,7 @@ import json
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from markupsafe import Markup
 from matplotlib import rc_context
@@ -23,7 +23,8 @@ from jaxunshear.report.wording import Wording
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
-from jaxunshear.style import ABREAST, COLOURS, INK, STYLE, encode_svg, make_panels
+from jaxunshear.style import ABREAST, COLOURS, INK, STYLE, encode_svg, label_log_axis, make_panels
+from jaxunshear.text_table import format_plain
 
 RETRAIN_REMEDY = "delete it, then run the same experiment again, which goes on from the checkpoint"
 DASHES = ("-", "--", ":")
@@ -61,7 +62,7 @@ def build_training_section(trainings: Trainings) -> Markup:
             name,
             f"{summary.parameters:,}",
             str(summary.steps),
-            f"{summary.images_per_second:.3g}",
+            format_plain(summary.images_per_second),
             format_duration(summary.train_seconds),
             str(summary.best_step),
         ]
@@ -111,7 +112,9 @@ def build_contacts_section(results: Results) -> Markup:
         return Markup()
     rows = []
     for field, entry in results.contact.items():
-        values = [f"{entry[name]:.3g}" for name in ("mean", "median", "p95", "max")]
+        values = [
+            format_plain(cast(float, entry[name])) for name in ("mean", "median", "p95", "max")
+        ]
         rows.append([CONTACT_TITLES.get(field, field), *values])
     counts, retried, pairs = results.counts, "", ""
     if counts.contacts is not None:
@@ -157,6 +160,7 @@ def _plot_losses(histories: Mapping[str, History]) -> str:
                 axes.plot(epoch, training, dash, color=colour, linewidth=1, alpha=0.45)
                 axes.plot(epoch, validation, dash, color=colour, linewidth=2, label=name)
             axes.set(title=network, xlabel="epoch", yscale="log")
+            label_log_axis(axes.yaxis)
             axes.legend()
         for axes in panels[::columns]:
             axes.set_ylabel("mean squared error")
@@ -173,6 +177,7 @@ def _plot_error(histories: Mapping[str, History], name: str, label: str) -> str:
             axes.plot(seconds, errors, "o-", color=colour, markersize=3, label=network)
         axes.set(xlabel="seconds of training", ylabel=label, yscale="log")
         axes.set_xlim(left=0)
+        label_log_axis(axes.yaxis)
         axes.legend()
         return encode_svg(figure)
 

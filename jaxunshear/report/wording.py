@@ -123,6 +123,16 @@ def write_lead(results: Results, words: Wording) -> Markup:
     return write(unsheared, contacts, describe_test(results), has_paper)
 
 
+def describe_source(results: Results) -> str:
+    """Describe the day and the code of the evaluation; nothing if they are unknown."""
+    source = results.source
+    if source is None:
+        return ""
+    commit = f", commit {source.commit[:10]}" if source.commit else ""
+    changed = " with changes" if source.clean is False else ""
+    return f"Evaluated on {source.date} by jaxunshear {source.version}{commit}{changed}."
+
+
 def _describe_posenet(text: str, results: Results) -> str:
     lessons = "taps."
     if set(results.pose_mae) == {"sheared_learnt"}:

@@ -56,7 +56,8 @@ def read_times(run_dir: Path) -> dict[str, float]:
         return {}
 
 
-SHARED_FOLDERS = {"reconstruct": "servo"}  # it continues from the results of `servo`
+# `reconstruct` continues from the results of `servo`, `ablate` writes beside those of the run
+SHARED_FOLDERS = {"reconstruct": "servo", "ablation": "."}
 
 
 def find_results_folder(run: Path, command: str) -> Path:

@@ -169,7 +169,15 @@ def test_a_test_of_its_own_has_tables_of_its_own(gathered):
 
 def test_scores_are_kept_contact_by_contact(gathered):
     with np.load(io.BytesIO(encode_scores(gathered))) as kept:
-        assert set(kept) == {*gathered.scores, "stimulus", "pose_id"}
+        poses = [name for name in gathered.labels if name.startswith("pose.")]
+        labels = ("stimulus", "pose_id", "slide_mm", "depth_mm", *poses)
+        assert set(kept) == {*gathered.scores, *labels} and "pose.sheared.edge_mm" in poses
+        np.testing.assert_allclose(kept["slide_mm"], np.sqrt(2))
+        np.testing.assert_allclose(
+            np.abs(kept["pose.sheared.edge_mm"] - kept["pose.true.edge_mm"]),
+            kept["pose/sheared/edge_mm"],
+            atol=1e-5,
+        )
         for name, score in gathered.scores.items():
             np.testing.assert_array_equal(kept[name], score)
 

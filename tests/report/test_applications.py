@@ -24,7 +24,7 @@ def put(folder, name, results):
 
 
 def test_what_was_run_is_shown_and_nothing_else(run):
-    assert applications.build_sections(run) == []
+    assert applications.build_sections(run) == {}
     page = write_report(run).read_text()
     assert "Contact geometry" not in page and "Complete objects" not in page
     of_disk = GEOMETRY | {"stimulus": "disk", "correlation": 0.111}
@@ -40,12 +40,12 @@ def test_what_was_run_is_shown_and_nothing_else(run):
     ):
         assert text in page, text
     assert "0.111" not in page
-    assert sum(section.count("<img") for section in applications.build_sections(run)) == 1
+    assert sum(section.count("<img") for section in applications.build_sections(run).values()) == 1
 
 
 def test_a_network_that_lost_its_pins_has_a_dash(run):
     put(run / "geometry", "geometry", {"rows": [GEOMETRY]})
-    assert "\u2013" in applications.build_sections(run)[0]
+    assert "\u2013" in applications.build_sections(run)["geometry"]
 
 
 def test_damage_is_reported(run):

@@ -77,5 +77,5 @@ def test_heights_fit(drawn):
     place = np.stack(np.meshgrid(*[np.linspace(-9, 9, 9)] * 2), -1).reshape(-1, 2)
     height = np.exp(-np.sum(place**2, 1) / 30)[None]
     kinds = dict.fromkeys(("sheared", *list(METHOD_TITLES)[2:7]), height)
-    plot_recordings(SimpleNamespace(rest=place), (["a/recording.png"], kinds))
+    plot_recordings(place, (["a/recording.png"], kinds))
     check(*drawn)

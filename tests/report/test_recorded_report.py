@@ -156,7 +156,6 @@ def test_of_taps_and_slides_all_is_reported(tmp_path, read_report):
     ):
         assert words in text, words
     assert not any(words in text for words in ("tap (truth)", "Contact quality", "shapes"))
-    assert (tmp_path / "montage.png").exists()
 
 
 def test_a_network_is_held_against_learning_from_slides_directly(tmp_path, read_report):
@@ -259,7 +258,6 @@ def test_of_one_kind_alone_poses_are_reported(tmp_path, read_report, network, ki
     assert f"that has only learned from {lesson}." in text
     for words in ("Recovery", "What it does", "How slides are paired", *absent):
         assert words not in text, words
-    assert not (tmp_path / "montage.png").exists()
 
 
 def test_a_harmless_slide_leaves_no_recovery(tmp_path, read_report):

@@ -13,9 +13,9 @@ import pytest
 from PIL import Image
 
 from jaxunshear.errors import UserError
+from jaxunshear.perception.drawing import MISSING, SURPLUS, compare_images
 from jaxunshear.report import montage
 from jaxunshear.report.html import encode_pixels
-from jaxunshear.report.montage import MISSING, SURPLUS, compare_images
 from jaxunshear.report.report import write_report
 
 
@@ -39,11 +39,12 @@ def bare_run(made_up_run):
 def test_the_page_is_full_and_needs_nothing_else(page, read):
     html = page.read_text()
     reader = read(html)
-    assert len(reader.addresses) >= 15 + 4
-    assert all(address.startswith("data:image/") for address in reader.addresses)
+    pictures = [address for address in reader.addresses if not address.startswith("#")]
+    assert len(pictures) >= 15 + 4
+    assert all(address.startswith("data:image/") for address in pictures)
     assert not re.search(r"url\(|@import", html)
     assert len(html) < 3_000_000
-    for address in reader.addresses:
+    for address in pictures:
         kind, data = address.split(";base64,")
         if kind.endswith("png"):
             Image.open(io.BytesIO(base64.b64decode(data))).verify()
@@ -88,15 +89,6 @@ def test_intervals_say_that_they_are_of_one_training(page, bare_run, read_page, 
     assert said not in read_report(folder, results)
 
 
-def test_the_montage_is_a_picture_of_every_shape_too(page):
-    with Image.open(page.with_name("montage.png")) as picture:
-        grey = np.asarray(picture.convert("L"))
-    with np.load(page.with_name("montage.npz")) as file:
-        shapes = len(set(file["stimulus"].tolist()))
-    assert abs(len(grey) - 185 * shapes) <= 2  # a row of each
-    assert (grey < 100).mean() > 0.2  # images, not blank paper
-
-
 def test_a_missed_bar_is_shown(bare_run):
     folder, results = bare_run
     results["ms_ssim"]["disentangled"]["overall"] = 0.89
@@ -129,7 +121,6 @@ def test_the_same_run_gives_the_same_bytes(page, tmp_path):
     """Also where a report is there already."""
     folder = shutil.copytree(page.parent, tmp_path / "run")
     assert write_report(folder).read_bytes() == page.read_bytes()
-    assert (folder / "montage.png").read_bytes() == page.with_name("montage.png").read_bytes()
 
 
 def test_without_logs_and_times_the_rest_is_still_shown(bare_run, read_report):
@@ -161,7 +152,7 @@ def test_nulls_are_shown_as_dashes(bare_run):
     recovery["disentangled"] = dict.fromkeys(recovery["disentangled"])
     (folder / "results.json").write_text(json.dumps(results))
     page = write_report(folder).read_text()
-    assert "\u2013" in page.split("Where the pins are")[0] and "\u2013 px" in page
+    assert "\u2013" in page.split("Where the pins are")[1] and "\u2013 px" in page
 
 
 @pytest.mark.parametrize(
@@ -230,7 +221,7 @@ def test_a_run_that_unshears_nothing_is_held_against_no_bar(bare_run):
     kept = {name: array for name, array in shown.items() if "entangled" not in name}
     np.savez(folder / "montage.npz", **kept)
     text = write_report(folder).read_text()
-    assert "passed" not in text.split("What it does")[0] and "Recovery" not in text
+    assert "passed" not in text.split("<h2")[0] and "Recovery" not in text
 
 
 def test_a_simulated_run_may_have_other_targets(made_up_run, read_report):

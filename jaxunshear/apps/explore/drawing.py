@@ -8,11 +8,15 @@ from functools import lru_cache, partial
 
 import jax
 import numpy as np
+from scipy.spatial import Delaunay
 from skimage.measure import find_contours
 
-from jaxunshear.apps.explore.explorer import FREE, SLIPPING, STUCK, Touch
-from jaxunshear.config.sensor import compute_reach_mm
+from jaxunshear.angles import rotate_2d
+from jaxunshear.apps.explore.explorer import FREE, SLIPPING, STUCK, Touch, TouchResult
+from jaxunshear.config.sensor import Sensor, compute_reach_mm
 from jaxunshear.perception.drawing import encode_png
+from jaxunshear.simulator.dome import load_shared_dome
+from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.stimuli import Stimulus, compute_signed_distance
 
 MAP_PX = 640
@@ -21,11 +25,14 @@ PX_PER_MM = MAP_PX / (2 * HALF_MM)
 GRID_MM = 0.4  # between the points that outlines are sought from
 PINS_PX = 512
 STRETCH = 2.0  # of pins' motions as drawn
+FORCE, MM_PER_N = "#c0392b", 12.0  # the colour of forces, and their length on the map
+LONGEST_MM = 4.0  # of forces on the skin as drawn
+VIEW_YAW_DEG, VIEW_TILT_DEG = 30.0, -35.0  # of the drawing of the dome, seen from below
 COLOURS = {STUCK: "#1f6feb", SLIPPING: "#d9822b", FREE: "#aab2bf"}
 
 
 def encode_data_url(image: np.ndarray) -> str:
-    """Encode an image (S, S) uint8 as a PNG that an `img` takes."""
+    """Encode an image (S, S) or (S, S, 3) uint8 as a PNG that an `img` takes."""
     return f"data:image/png;base64,{base64.b64encode(encode_png(image, level=1)).decode()}"
 
 
@@ -59,8 +66,11 @@ def trace_outlines(stimulus: Stimulus, half_mm: float) -> tuple[np.ndarray, ...]
     return tuple((curve - 1) * (2 * half_mm / steps) - half_mm for curve in curves)
 
 
-def render_map_svg(touch: Touch) -> str:
-    """Draw the shape, the dome at the slide's start and end, and the slide."""
+def render_map_svg(touch: Touch, force_n: np.ndarray | None = None) -> str:
+    """Draw the shape, the dome at the slide's start and end, the slide, and the force sideways.
+
+    `force_n` (3,) is on the sensor, in its frame.
+    """
     every_10_mm = np.arange(HALF_MM % 10, 2 * HALF_MM, 10) * PX_PER_MM
     lines = [f"M{px:.1f} 0V{MAP_PX}M0 {px:.1f}H{MAP_PX}" for px in every_10_mm]
     parts = [f'<path d="{"".join(lines)}" stroke="#dfe4ec" stroke-width="1" fill="none"/>']
@@ -87,7 +97,65 @@ def render_map_svg(touch: Touch) -> str:
         f'<circle cx="{tip[0]:.1f}" cy="{tip[1]:.1f}" r="8" fill="#1f6feb"/>',
         f'<circle {centre} r="6" fill="#1c2330"/>',
     ]
+    if force_n is not None:
+        along = rotate_2d(force_n[:2], np.radians(touch.pose[2]))
+        parts.append(_draw_arrow(to_px(end), to_px(end + MM_PER_N * along), 6, FORCE))
     return "".join(parts)
+
+
+def _draw_arrow(start: np.ndarray, end: np.ndarray, width: float, colour: str) -> str:
+    along = end - start
+    length = float(np.hypot(*along))
+    if length < 2 * width:  # shorter than its head
+        return ""
+    head = 3 * width * along / length
+    side = 0.5 * np.array([-head[1], head[0]])
+    corners = _format_path(np.stack([end, end - head + side, end - head - side]))
+    (a, b), (c, d) = start, end - head
+    return (
+        f'<path d="M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" stroke="{colour}" stroke-width="{width}"/>'
+        f'<path d="{corners}" fill="{colour}"/>'
+    )
+
+
+def render_dome_svg(result: TouchResult) -> str:
+    """Draw the dome from below at a slant: a mesh of pin tips, and the forces on its skin.
+
+    The colour of a triangle shows whether the skin above one of its pins sticks or slips.
+    """
+    sensor = result.sensor
+    triangles = _triangulate(sensor)
+    place, away = _project(result.tips[0], sensor.dome_radius_mm)
+    parts = []
+    for pins in triangles[np.argsort(-away[triangles].mean(axis=1))]:
+        fill = COLOURS[int(result.state[pins].max())] if result.state[pins].any() else "#eef2f8"
+        parts.append(
+            f'<path d="{_format_path(place[pins])}" fill="{fill}" stroke="#8a93a3" '
+            'stroke-width="0.6"/>'
+        )
+    forces = result.skin_force_n
+    touched = np.flatnonzero(forces[:, 2] > 0)
+    nodes, longest = load_shared_dome(sensor).nodes, np.abs(forces).max(initial=1e-9)
+    ends = nodes + LONGEST_MM * forces / longest
+    starts, ends = (_project(points, sensor.dome_radius_mm)[0] for points in (nodes, ends))
+    parts += [_draw_arrow(starts[node], ends[node], 1.2, FORCE) for node in touched]
+    return "".join(parts)
+
+
+@lru_cache(maxsize=8)
+def _triangulate(sensor: Sensor) -> np.ndarray:
+    """Join neighbouring pins to triangles (T, 3)."""
+    return Delaunay(compute_pin_tips(sensor)[:, :2]).simplices
+
+
+def _project(points: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Project points (K, 3) mm to px (K, 2) of the drawing; also how far away (K,) they are."""
+    turned = rotate_2d(points[:, :2], np.radians(VIEW_YAW_DEG))
+    x, y, z = turned[:, 0], turned[:, 1], points[:, 2] - radius / 2
+    sine, cosine = np.sin(np.radians(VIEW_TILT_DEG)), np.cos(np.radians(VIEW_TILT_DEG))
+    scale = 0.58 * PINS_PX / radius
+    up, away = z * cosine + y * sine, y * cosine - z * sine
+    return PINS_PX / 2 + scale * np.stack([x, -up], -1), away
 
 
 def _draw_slide(start: tuple[float, float], end: tuple[float, float], radius: float) -> str:

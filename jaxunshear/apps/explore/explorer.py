@@ -4,19 +4,20 @@
 >>> touch = Touch(get_stimulus("disk"), get_sensor("tactip331-fitted"), pose, move, 0.4)
 >>> result = simulate_touch(touch)                     # raises UserError if there is no contact
 >>> explorer = make_explorer(load_model("standard"))
->>> explorer.warm()                                    # compiles, with a bar
 >>> picture = explorer.simulate_picture(touch)         # raises UserError if there is none
 >>> picture.poses["unsheared"]["edge_mm"], picture.poses["true"]["edge_mm"]
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from jaxunshear.config.data import PairedData
+from jaxunshear.config.data import PairedData, Ranges
 from jaxunshear.config.sensor import Sensor, compute_ring_spacing
 from jaxunshear.config.targets import SIMULATED_FIELDS
 from jaxunshear.data.recordings import read_image
@@ -26,12 +27,12 @@ from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.readers import Predictions
 from jaxunshear.inference.trained_model import TrainedModel
+from jaxunshear.metrics import count_scales, ms_ssim
 from jaxunshear.perception.drawing import to_uint8
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.pin_detection import detect_pins
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import invert_image, judge_images
-from jaxunshear.progress import Progress
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.level import LEVELS, Level
 from jaxunshear.simulator.paths import make_paths
@@ -51,6 +52,9 @@ BATCH = 2  # a slide and the tap at its end
 DEEPEST_MM, MOST_SLIDE_MM = 6.0, 5.0  # of touches that are compiled beforehand
 FREE, STUCK, SLIPPING = range(3)
 ROUNDING = 1e-3  # of the greatest friction, within which a node slips
+LIMIT_ROUNDING = 1e-6  # mm and deg
+# the page begins with a slide on the disk's edge, of which `standard` takes out most of all errors
+FIRST_POSE, FIRST_MOVE = (0.0, 0.0, 0.0, 3.0), (2.0, 1.5)
 
 
 @dataclass(frozen=True)
@@ -67,9 +71,11 @@ class Touch:
 class TouchResult(NamedTuple):
     """The contacts of a slide and of the tap at its end, in this order."""
 
+    sensor: Sensor
     tips: np.ndarray  # (2, P, 3) mm, pin tips in the sensor frame
     state: np.ndarray  # (P,) FREE, STUCK or SLIPPING: the skin above each pin, at the slide's end
     force_n: np.ndarray  # (3,) N on the sensor at the slide's end
+    skin_force_n: np.ndarray  # (N, 3) N on each contact node then
 
 
 def make_scenes(touch: Touch) -> Scenes:
@@ -102,9 +108,11 @@ def simulate_touch(touch: Touch, level: Level = LEVEL) -> TouchResult:
             "move the sensor a little, or press less deep"
         )
     return TouchResult(
+        touch.sensor,
         contacts.pins,
         compute_skin_state(touch.sensor, skins.force_n[0], touch.friction),
         contacts.force_n[0],
+        skins.force_n[0],
     )
 
 
@@ -160,18 +168,18 @@ class Picture(NamedTuple):
     Args:
         images: (S, S) uint8, by SHEARED, UNSHEARED and TAP, as far as there are any.
         poses: mm and deg, by TRUE, SHEARED and UNSHEARED and by quantity; NaN if there is none.
-        pins: (2, P, 2) px, untouched and at the slide's end; P is 0 for a recorded image.
-        state: (P,) of FREE, STUCK and SLIPPING.
-        force_n: (3,) on the sensor.
-        note: one line that says why something is missing.
+        note: one line that says why something is missing, or is not to be trusted.
+        pins: (2, P, 2) px, untouched and at the slide's end.
+        result: Of the contacts; None for a recorded image, as `pins`.
+        likeness: MS-SSIM to the tap, by SHEARED and UNSHEARED.
     """
 
     images: dict[str, np.ndarray]
     poses: dict[str, dict[str, float]]
-    pins: np.ndarray
-    state: np.ndarray
-    force_n: np.ndarray
     note: str = ""
+    pins: np.ndarray | None = None
+    result: TouchResult | None = None
+    likeness: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -190,16 +198,11 @@ class Explorer:
         """The stimuli to choose from by name; those from files come first."""
         return {stimulus.name: stimulus for stimulus in (*self.own_stimuli, *STIMULI.values())}
 
-    def warm(self) -> None:
-        """Compile what a touch of the model's own sensor needs."""
+    def list_touches(self) -> list[Touch]:
+        """List the touches that compile what those of the model's own sensor need."""
         touches = list_warmup_touches(self.model.sensor, self.paired.friction or 0.0)
-        with Progress("prepare", len(touches) + len(self.stimuli), "touches") as bar:
-            for touch in touches:
-                self.simulate_picture(touch)
-                bar.advance()
-            for stimulus in self.stimuli.values():
-                self.simulate_picture(replace(touches[1], stimulus=stimulus))
-                bar.advance()
+        shapes = self.stimuli.values()
+        return touches + [replace(touches[1], stimulus=stimulus) for stimulus in shapes]
 
     def simulate_picture(self, touch: Touch) -> Picture:
         """Simulate a touch and run the networks. Raises UserError if there is no contact."""
@@ -210,14 +213,17 @@ class Explorer:
         )
         images = {SHEARED: frames[0], TAP: frames[1]}
         poses = {TRUE: _compute_true_pose(touch, self.model.targets)}
-        if touch.sensor != self.model.sensor:
+        if not result.skin_force_n.any():
+            note = "no touch: the dome is above the shape or beside it"
+        elif touch.sensor != self.model.sensor:
             reason = judge_images(frames[:1], self.model.appearance).reason
             reason = reason or "its pins only resemble those that it learnt from"
             note = f"the model does not know this sensor: {reason}"
         else:
             note = _add_predictions(images, poses, self.model.predict(frames[:1]))
-        rest = _compute_rest_px(touch.sensor, self.paired)
-        return Picture(images, poses, np.stack([rest, pins[0]]), result.state, result.force_n, note)
+            note = note or describe_limits(touch, self.paired.ranges)
+        both = np.stack([_compute_rest_px(touch.sensor, self.paired), pins[0]])
+        return Picture(images, poses, note, both, result, compute_likeness(images))
 
     def infer_recording(self, name: str, data: bytes) -> Picture:
         """Run the networks on the bytes of an image file.
@@ -238,7 +244,7 @@ class Explorer:
         poses: dict[str, dict[str, float]] = {}
         predictions = model.predict(images[SHEARED][None])
         note = _add_predictions(images, poses, predictions)
-        return Picture(images, poses, np.zeros((2, 0, 2)), np.zeros(0, int), np.zeros(3), note)
+        return Picture(images, poses, note)
 
 
 def make_explorer(model: TrainedModel, own_stimuli: tuple[Stimulus, ...] = ()) -> Explorer:
@@ -266,6 +272,36 @@ def _add_predictions(
             pose = predictions.poses[method]
             poses[key] = {name: float(values[0]) for name, values in pose.items()}
     return ""
+
+
+def compute_likeness(images: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Compute MS-SSIM to the tap of the other images."""
+    tap = images[TAP][None, ..., None] / np.float32(255)
+    scales = count_scales(tap.shape[1])
+    return {
+        name: float(ms_ssim(image[None, ..., None] / np.float32(255), tap, scales)[0])
+        for name, image in images.items()
+        if name != TAP
+    }
+
+
+def describe_limits(touch: Touch, ranges: Ranges) -> str:
+    """Say what of a touch the networks have not seen in training; nothing if they have seen all."""
+    x, y, yaw, depth = touch.pose
+    slide, side = max(map(abs, touch.move)), ranges.lateral_mm
+    limits = {  # value, and the range that poses of the training are drawn from
+        "depth": (depth, ranges.depth_min_mm, ranges.depth_max_mm, "mm"),
+        "x": (x, -side, side, "mm"),
+        "y": (y, -side, side, "mm"),
+        "slide along x or y": (slide, 0.0, ranges.move_mm, "mm"),
+        "yaw": (yaw, -ranges.yaw_deg, ranges.yaw_deg, "deg"),
+    }
+    parts = [
+        f"{name} {value:.3g} {unit} (learnt: {low:g} to {high:g})"
+        for name, (value, low, high, unit) in limits.items()
+        if not low - LIMIT_ROUNDING <= value <= high + LIMIT_ROUNDING
+    ]
+    return f"outside what the networks know: {', '.join(parts)}" if parts else ""
 
 
 def _compute_true_pose(touch: Touch, names: tuple[str, ...]) -> dict[str, float]:

@@ -70,6 +70,7 @@ def test_a_picture_holds_both_kinds_of_image_and_what_is_read_of_them(explorer, 
     sheared, unsheared = (np.abs(images[n] - images[TAP]).mean() for n in (SHEARED, UNSHEARED))
     assert unsheared < sheared
     assert not picture.note
+    assert 0.2 < picture.likeness[SHEARED] < picture.likeness[UNSHEARED] < 1
     assert set(picture.poses) == {TRUE, SHEARED, UNSHEARED}
     true = picture.poses[TRUE]
     assert true["x_mm"] == 0.5 and true["yaw_deg"] == 20
@@ -87,8 +88,8 @@ def test_a_slide_drags_the_skin_behind_it(touch, picture):
     slide, tap = simulate_touch(touch).tips
     assert np.linalg.norm(slide - tap, axis=-1).max() > 0.1
     # friction holds the sensor back, yawed by 20 deg
-    np.testing.assert_array_less(picture.force_n @ [1, 0, 0], 0)
-    assert {FREE, SLIPPING} <= set(picture.state) <= {FREE, STUCK, SLIPPING}
+    np.testing.assert_array_less(picture.result.force_n @ [1, 0, 0], 0)
+    assert {FREE, SLIPPING} <= set(picture.result.state) <= {FREE, STUCK, SLIPPING}
 
 
 def test_skin_slips_where_friction_is_used_up():
@@ -151,8 +152,8 @@ def test_places_go_there_and_back(touch, picture):
     assert to_mm(MAP_PX / 2, 0) == (0, HALF_MM)
     np.testing.assert_allclose(to_px(np.array(to_mm(100, 500))), [100, 500])
     assert render_map_svg(touch).count("<circle") == 6
-    pins = render_pins_svg(picture.pins, picture.state, 128)
-    assert pins.count("<circle") == 1 + len(picture.state)
+    pins = render_pins_svg(picture.pins, picture.result.state, 128)
+    assert pins.count("<circle") == 1 + len(picture.result.state)
 
 
 @pytest.mark.long
