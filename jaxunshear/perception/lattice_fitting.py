@@ -118,7 +118,7 @@ def _measure_mean_motion(lattice: Lattice, frames: list[np.ndarray]) -> np.ndarr
     if np.mean(count > 0) < MIN_TRACKED_SHARE or extra > MAX_EXTRA_SHARE * len(lattice.rest):
         return None
     mean = np.nansum(motion, axis=0) / np.maximum(count, 1)[:, None]
-    return np.where(count[:, None] > 0, mean, lattice.neighbour_weights @ mean)
+    return lattice.fill_missing(np.where(count[:, None] > 0, mean, np.nan))
 
 
 def _guess_rest(frames: list[np.ndarray], layout: MarkerLayout) -> np.ndarray:

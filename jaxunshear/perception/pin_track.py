@@ -34,7 +34,6 @@ MAX_NEIGHBOUR_OFFSET = 0.42
 # missing while detected ones have no identity.
 MAX_MISFIT_SHARE = 0.015
 MAX_HOLE_SHARE = 0.007  # share of the pins that may be missing within the inner rings
-INNER_RING_SHARE = 0.75  # of the outermost ring
 MIN_VISIBLE_SHARE = 0.8  # on a long slide the housing hides more than a tenth of the pins
 
 # Refinement.
@@ -84,7 +83,7 @@ def assess_track(
     if missed > (1 - MIN_VISIBLE_SHARE) * pins:
         return PinTrack(motion, identity, float("inf"), missed, extra, False)
     offset = lattice.measure_offsets(motion)
-    holes = np.sum(missing & (lattice.ring < INNER_RING_SHARE * lattice.ring.max()))
+    holes = np.sum(missing & lattice.is_inner)
     max_misfits = max(1, MAX_MISFIT_SHARE * pins)
     smooth = offset.max() <= MAX_NEIGHBOUR_OFFSET and np.sum(offset > MAX_OFFSET) <= max_misfits
     identified = smooth and holes <= MAX_HOLE_SHARE * pins and min(missed, extra) <= max_misfits

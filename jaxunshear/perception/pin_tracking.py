@@ -36,6 +36,7 @@ from jaxunshear.perception.pin_track import (
     refine_track,
     repair_identities,
 )
+from jaxunshear.perception.worn_dome import assess_worn_track
 
 MIN_DETECTED_SHARE = 0.7  # of the lattice's pins
 MAX_MATCH_DISTANCE = 0.75  # of the spacing: beyond it a detected pin is another one
@@ -44,6 +45,7 @@ REPEATS = 3
 CONVERGED_RATIO = 0.9
 NEIGHBOUR_REPEATS = 4
 FIRST_TURNS_DEG = (4, -4, 8, -8)  # of the first motion, tried if no prior is known
+WORN_TURNS_DEG = (0, 4, -4)
 MIN_PRIOR_FRAMES = 10  # identified images that a prior is fitted to, at least
 MODES = 3
 STEP = 0.6  # of the spacing: the largest difference at a pin between neighbours on the grid
@@ -78,7 +80,7 @@ def track_images(
     """
     detected = [detect_pins(image) for image in images]
     if independent:
-        tracks = [track_pins(lattice, each) for each in detected]
+        tracks = [track_worn_pins(lattice, each, track_pins(lattice, each)) for each in detected]
     else:
         tracks = track_all(lattice, detected)
     identified = np.array([track.identified for track in tracks], bool)
@@ -103,18 +105,56 @@ def track_all(lattice: Lattice, frames: list[DetectedPins]) -> list[PinTrack]:
     """Track the pins of images of one camera, in order; the identified help with the others."""
     tracks = [track_pins(lattice, detected) for detected in frames]
     prior = fit_motion_prior(lattice, tracks)
-    if prior is None:
-        return tracks
+    if prior is not None:
+        tracks = [
+            track if track.identified else track_pins(lattice, detected, prior)
+            for track, detected in zip(tracks, frames, strict=True)
+        ]
     return [
-        track if track.identified else track_pins(lattice, detected, prior)
+        track_worn_pins(lattice, detected, track)
         for track, detected in zip(tracks, frames, strict=True)
     ]
+
+
+def track_worn_pins(lattice: Lattice, detected: DetectedPins, track: PinTrack) -> PinTrack:
+    """Track the pins of an image again as those of a worn dome, unless `track` is identified.
+
+    Return `track` if that does not identify them.
+    """
+    if track.identified or len(detected.pins) < MIN_DETECTED_SHARE * len(lattice.rest):
+        return track
+    if lattice.intact is not None:
+        return _add_lost(lattice, track_worn_pins(lattice.intact, detected, _drop_lost(lattice, track)))
+    tree = cKDTree(detected.pins)
+    for motion in _propose_worn_motions(lattice, detected.pins):
+        identity = _match_iteratively(lattice, detected.pins, motion)
+        identity = repair_identities(lattice, detected.pins, tree, identity)
+        worn = assess_worn_track(lattice, detected.pins, identity)
+        if worn.identified:
+            return worn
+    return track
+
+
+def _drop_lost(lattice: Lattice, track: PinTrack) -> PinTrack:
+    left = lattice.left
+    return track._replace(motion=track.motion[left], identity=track.identity[left])
+
+
+def _add_lost(lattice: Lattice, track: PinTrack) -> PinTrack:
+    """Add the pins that are lost to a track of the others, as missing."""
+    motion, identity = np.full(lattice.rest.shape, np.nan), np.full(len(lattice.rest), -1)
+    motion[lattice.left], identity[lattice.left] = track.motion, track.identity
+    return track._replace(motion=motion, identity=identity)
 
 
 def track_pins(
     lattice: Lattice, detected: DetectedPins, prior: MotionPrior | None = None
 ) -> PinTrack:
     """Track the pins of one image, with the help of a prior if there is one."""
+    if lattice.intact is not None:
+        if prior is not None:
+            prior = prior._replace(motion=prior.motion[:, lattice.left])
+        return _add_lost(lattice, track_pins(lattice.intact, detected, prior))
     pins, count = len(lattice.rest), len(detected.pins)
     missing = np.full((pins, 2), np.nan)
     best = PinTrack(missing, np.full(pins, -1), float("inf"), pins, count, False)
@@ -185,7 +225,7 @@ def _propose_motions(
 
     The best ones of the prior follow, or turned ones if there is no prior.
     """
-    likeliest = _fit_affine(lattice, detected)
+    likeliest = _fit_affine(lattice, detected, max(len(lattice.rest) - len(detected), 0))
     yield likeliest - lattice.rest
     if prior is not None:
         yield from _search_prior(lattice, detected, prior)
@@ -193,6 +233,16 @@ def _propose_motions(
     middle = likeliest.mean(axis=0)
     for angle in np.radians(FIRST_TURNS_DEG):
         yield (likeliest - middle) @ rotation_2d(-angle) + middle - lattice.rest
+
+
+def _propose_worn_motions(lattice: Lattice, detected: np.ndarray) -> Iterator[np.ndarray]:
+    """Propose motions (P, 2) px of pins of which some are lost, anywhere."""
+    unseen = len(lattice.rest) - len(detected)
+    for hidden in sorted({0, max(unseen, 0) // 2, max(unseen, 0)}):
+        likeliest = _fit_affine(lattice, detected, hidden)
+        middle = likeliest.mean(axis=0)
+        for angle in np.radians(WORN_TURNS_DEG):
+            yield (likeliest - middle) @ rotation_2d(-angle) + middle - lattice.rest
 
 
 def _search_prior(lattice: Lattice, detected: np.ndarray, prior: MotionPrior) -> np.ndarray:
@@ -217,10 +267,11 @@ def _search_prior(lattice: Lattice, detected: np.ndarray, prior: MotionPrior) ->
     return prior.motion[np.argsort(cost)[:TRIED_MOTIONS]].astype(float)
 
 
-def _fit_affine(lattice: Lattice, detected: np.ndarray) -> np.ndarray:
+def _fit_affine(lattice: Lattice, detected: np.ndarray, hidden: int) -> np.ndarray:
     """Move the pins (P, 2) to the mean and covariance of the detected ones, without a turn.
 
-    Where a side of the pins has left the view, the outermost are left out of the comparison.
+    Where a side of the pins has left the view, the outermost, as many as are `hidden`, are left out
+    of the comparison.
     """
     rest, middle, spread = lattice.rest, detected.mean(axis=0), np.cov(detected.T)
     compared = np.arange(len(rest))
@@ -231,7 +282,7 @@ def _fit_affine(lattice: Lattice, detected: np.ndarray) -> np.ndarray:
         stretch = inverse @ _root(root @ spread @ root) @ inverse
         position = (rest - subset.mean(axis=0)) @ stretch + middle
         distance = np.linalg.norm(position - _compute_centre(lattice), axis=-1)
-        inner = np.sort(np.argsort(distance)[: len(detected)])
+        inner = np.sort(np.argsort(distance)[: len(rest) - hidden])
         if np.array_equal(inner, compared):
             break
         compared = inner
