@@ -5,6 +5,7 @@
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -14,12 +15,14 @@ import numpy as np
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import Recordings, read_first_image, read_recordings
 from jaxunshear.data.sensor_frame import LARGEST_PX
-from jaxunshear.perception.lattice import Lattice
+from jaxunshear.errors import UserError
+from jaxunshear.perception.lattice import Lattice, make_lattice
 from jaxunshear.perception.lattice_fitting import MarkerLayout, fit_lattice
 from jaxunshear.perception.pin_detection import DetectedPins, detect_pins
 from jaxunshear.perception.pin_track import PinTrack
 from jaxunshear.perception.pin_tracking import track_all
 from jaxunshear.perception.preprocess import View
+from jaxunshear.perception.worn_dome import find_lost_pins
 from jaxunshear.progress import Progress
 from jaxunshear.results.applications import PinScore, PinScores
 from jaxunshear.selection import select_evenly
@@ -55,13 +58,15 @@ def find_pins(
     lattice: Lattice | MarkerLayout,
     preprocess: Preprocess | None = None,
     rest: Path | None = None,
+    without: Sequence[int] = (),
 ) -> Pins:
     """Find the pins of an image or a folder of recordings.
 
     Images are prepared as `preprocess` says, or else in their own size, up to LARGEST_PX. A
     `lattice` holds the rest positions; a layout is fitted, to untouched images at `rest` or else
-    to the images themselves: motions are then from their mean position. Raises `UserError` if
-    nothing can be read or pins are not this layout's.
+    to the images themselves: motions are then from their mean position. Pins that are lost, those
+    in `without` and those that no image shows, have no place. Raises `UserError` if nothing can be
+    read or pins are not this layout's.
     """
     if preprocess is None:
         first = read_first_image(read_recordings(path, Preprocess()).files)
@@ -81,8 +86,18 @@ def find_pins(
         else:
             untouched = _detect_all(read_recordings(rest, preprocess), view).pins
         lattice = fit_lattice([each.pins for each in untouched], lattice)
+    if without and not 0 <= min(without) <= max(without) < len(lattice.rest):
+        raise UserError(
+            f"--without {','.join(map(str, without))}: pins have numbers from 0 to "
+            f"{len(lattice.rest) - 1}, as the rows of place_px in pins.npz"
+        )
     fitted = time.perf_counter()
+    lattice = make_lattice(lattice.rest, lattice.ring, without or lattice.lost)
     tracks = track_all(lattice, detection.pins)
+    lost = find_lost_pins(lattice, tracks)
+    if set(lost) - set(lattice.lost):
+        lattice = make_lattice(lattice.rest, lattice.ring, lost)
+        tracks = track_all(lattice, detection.pins)
     seconds = detection.seconds + time.perf_counter() - fitted
     motions = [np.where(track.identified, track.motion, np.nan) for track in tracks]
     place = lattice.rest + np.array(motions)
@@ -93,7 +108,7 @@ def find_pins(
         motion_from=origin,
         fit_s=fitted - start,
         ms_per_image=1e3 * seconds / len(names),
-        left_out=list(recordings.notes),
+        left_out=[*_name_lost(lattice), *recordings.notes],
     )
     shown = [ShownImage(names[i], image, tracks[i]) for i, image in detection.images.items()]
     identified = np.array([track.identified for track in tracks])
@@ -129,6 +144,14 @@ def _detect_all(recordings: Recordings, view: View) -> _Detection:
     return _Detection(pins, names, images, seconds)
 
 
+def _name_lost(lattice: Lattice) -> list[str]:
+    if not lattice.lost:
+        return []
+    numbers = ", ".join(map(str, lattice.lost[:MAX_NAMED]))
+    more = f" and {len(lattice.lost) - MAX_NAMED} more" if len(lattice.lost) > MAX_NAMED else ""
+    return [f"{len(lattice.lost)} pins are lost, and left out of all images: {numbers}{more}"]
+
+
 def _score_track(name: str, track: PinTrack) -> PinScore:
     largest_motion = None
     if track.identified:
@@ -149,7 +172,7 @@ def summary(table: PinScores) -> str:
     rows, pins = table.rows, table.pins
     identified = [row for row in rows if row.sure]
     percent = 100 * len(identified) / len(rows)
-    full = sum(row.matched == pins for row in identified)
+    full = sum(row.missed == 0 for row in identified)
     lines = [
         f"{len(rows)} images: {len(identified)} with every pin's identity sure "
         f"({percent:.1f} %), {full} of them with all {pins} pins",

@@ -49,12 +49,13 @@ class SensorFrame(NamedTuple):
     radius_px: float  # of a pin
     size: int  # side of the prepared images, px
     pins_px: int  # side of the images that pins are detected in
+    lost: tuple[int, ...] = ()  # pins that no frame shows
 
     def make_detection_lattice(self) -> "Lattice":
         """Make the lattice, px of the images that pins are detected in."""
         from jaxunshear.perception.lattice import make_lattice
 
-        return make_lattice(to_detection_px(self, self.rest), self.ring)
+        return make_lattice(to_detection_px(self, self.rest), self.ring, self.lost)
 
     def describe(self) -> Json:
         """Describe the frame as metadata keep it; `parse_frame` reads it."""
@@ -67,6 +68,7 @@ class SensorFrame(NamedTuple):
             "radius_px": round(self.radius_px, 4),
             "size": self.size,
             "pins_px": self.pins_px,
+            "lost": self.lost,
         }
 
 
@@ -83,6 +85,7 @@ def parse_frame(stored: Json) -> SensorFrame:
         radius_px=stored["radius_px"],
         size=stored["size"],
         pins_px=stored["pins_px"],
+        lost=tuple(stored.get("lost", ())),  # sets of before this field have none
     )
 
 
@@ -203,8 +206,10 @@ def _fit_sensor_frame(
     """
     from jaxunshear.perception.lattice_fitting import fit_lattice, make_layout
     from jaxunshear.perception.pin_detection import detect_pins
+    from jaxunshear.perception.pin_tracking import track_all
     from jaxunshear.perception.preprocess import prepare_frame
     from jaxunshear.perception.sensor_check import invert_image
+    from jaxunshear.perception.worn_dome import find_lost_pins
 
     detected = []
     for row in select_evenly(len(files), LATTICE_FRAMES):
@@ -223,6 +228,7 @@ def _fit_sensor_frame(
         radius_px=scale * float(np.median([each.radius for each in detected])),
         size=preprocess.size,
         pins_px=size,
+        lost=tuple(find_lost_pins(lattice, track_all(lattice, detected))),
     )
 
 

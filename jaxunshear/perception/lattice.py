@@ -53,8 +53,11 @@ class Lattice(NamedTuple):
 
         Outer pins that the housing hides remain NaN: no neighbour beyond them is seen.
         """
-        hole = np.isnan(motion[:, 0]) & (self.is_inner | np.isin(np.arange(len(motion)), self.lost))
-        return np.where(hole[:, None], self.fill_missing(motion), motion) if hole.any() else motion
+        missing = np.isnan(motion[:, 0])
+        hole = missing & (self.is_inner | np.isin(np.arange(len(motion)), self.lost))
+        if missing.all() or not hole.any():
+            return motion
+        return np.where(hole[:, None], self.fill_missing(motion), motion)
 
     def measure_offsets(self, motion: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
         """Measure how far each pin stands from where its neighbours' motion px puts it.

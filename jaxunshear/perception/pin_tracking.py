@@ -18,7 +18,7 @@ is compared with the detected pins, and the best are refined.
 Networks that take pins use `track_images`, or `measure_motions`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +36,7 @@ from jaxunshear.perception.pin_track import (
     refine_track,
     repair_identities,
 )
-from jaxunshear.perception.worn_dome import assess_worn_track
+from jaxunshear.perception.worn_dome import AROUND, assess_worn_track
 
 MIN_DETECTED_SHARE = 0.7  # of the lattice's pins
 MAX_MATCH_DISTANCE = 0.75  # of the spacing: beyond it a detected pin is another one
@@ -46,6 +46,10 @@ CONVERGED_RATIO = 0.9
 NEIGHBOUR_REPEATS = 4
 FIRST_TURNS_DEG = (4, -4, 8, -8)  # of the first motion, tried if no prior is known
 WORN_TURNS_DEG = (0, 4, -4)
+MAX_WORN_FAULT_SHARE = 0.25  # of the pins: identities with more faults are not repaired
+MIN_STEP_SHARE = 0.7  # of the pins, which a step puts near others' places if it fits the lattice
+MAX_STEP_DISTANCE = 0.3  # of the spacing
+MIN_WORN_MARGIN = 2  # pins and dots without a partner, by which other identities must be worse
 MIN_PRIOR_FRAMES = 10  # identified images that a prior is fitted to, at least
 MODES = 3
 STEP = 0.6  # of the spacing: the largest difference at a pin between neighbours on the grid
@@ -124,15 +128,48 @@ def track_worn_pins(lattice: Lattice, detected: DetectedPins, track: PinTrack) -
     if track.identified or len(detected.pins) < MIN_DETECTED_SHARE * len(lattice.rest):
         return track
     if lattice.intact is not None:
-        return _add_lost(lattice, track_worn_pins(lattice.intact, detected, _drop_lost(lattice, track)))
-    tree = cKDTree(detected.pins)
-    for motion in _propose_worn_motions(lattice, detected.pins):
-        identity = _match_iteratively(lattice, detected.pins, motion)
-        identity = repair_identities(lattice, detected.pins, tree, identity)
-        worn = assess_worn_track(lattice, detected.pins, identity)
+        return _add_lost(
+            lattice, track_worn_pins(lattice.intact, detected, _drop_lost(lattice, track))
+        )
+    motions = _propose_worn_motions(lattice, detected.pins)
+    first = next(_find_worn_tracks(lattice, detected.pins, motions), None)
+    if first is None:
+        return track
+    # a regular lattice of which the housing hides a side may fit one place further as well
+    moved = [lattice.fill_missing(first.motion) + step for step in _find_steps(lattice)]
+    tracks = [first, *_find_worn_tracks(lattice, detected.pins, moved)]
+    tracks.sort(key=lambda worn: worn.missed + worn.extra)
+    best = tracks[0]
+    is_sure = all(
+        np.array_equal(each.identity, best.identity)
+        or each.missed + each.extra >= best.missed + best.extra + MIN_WORN_MARGIN
+        for each in tracks[1:]
+    )
+    return best if is_sure else track
+
+
+def _find_steps(lattice: Lattice) -> list[np.ndarray]:
+    """Find the steps px from a pin to the next by which the lattice moves onto itself."""
+    middle = np.argmin(np.linalg.norm(lattice.rest - lattice.centre, axis=-1))
+    steps = lattice.rest[lattice.neighbours[middle, :AROUND]] - lattice.rest[middle]
+    tree, near = cKDTree(lattice.rest), MAX_STEP_DISTANCE * lattice.spacing
+    shares = [np.mean(tree.query(lattice.rest + step)[0] < near) for step in steps]
+    return [step for step, share in zip(steps, shares, strict=True) if share >= MIN_STEP_SHARE]
+
+
+def _find_worn_tracks(
+    lattice: Lattice, detected: np.ndarray, motions: Iterable[np.ndarray]
+) -> Iterator[PinTrack]:
+    """Yield the identified ones of the tracks that start from first motions (P, 2) px."""
+    tree, max_faults = cKDTree(detected), MAX_WORN_FAULT_SHARE * len(lattice.rest)
+    for motion in motions:
+        identity = _match_iteratively(lattice, detected, motion)
+        if rate_identities(lattice, detected, identity).fault_count > max_faults:
+            continue
+        identity = repair_identities(lattice, detected, tree, identity)
+        worn = assess_worn_track(lattice, detected, identity)
         if worn.identified:
-            return worn
-    return track
+            yield worn
 
 
 def _drop_lost(lattice: Lattice, track: PinTrack) -> PinTrack:
