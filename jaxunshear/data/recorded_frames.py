@@ -39,9 +39,9 @@ from jaxunshear.perception.pin_tracking import (
     MotionPrior,
     fit_motion_prior,
     track_pins,
-    track_worn_pins,
 )
 from jaxunshear.perception.preprocess import prepare_frame
+from jaxunshear.perception.worn_dome import track_worn_pins
 
 CHUNK = 250  # frames in a file
 NO_IMAGE = np.zeros((0, 1), np.uint8)

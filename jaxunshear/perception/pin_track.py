@@ -20,6 +20,7 @@ from jaxunshear.perception.pin_detection import DetectedPins, MeasuredPins
 NEAREST = 8  # neighbours of a pin that it is grown from
 MIN_KNOWN_NEIGHBOURS = 3  # of these, that must be identified
 MAX_OFFSET = 0.2  # of the spacing: the largest usual offset of a pin from its neighbours' motion
+MIN_DETECTED_SHARE = 0.7  # of the lattice's pins
 MIN_IDENTIFIED_SHARE = 0.6  # share of the pins below which identities are not rated
 
 # Repair. Lengths are in units of the spacing.
@@ -60,6 +61,19 @@ class PinTrack(NamedTuple):
     def visible(self) -> Bool[np.ndarray, "P"]:
         """Which pins have a motion."""
         return ~np.isnan(self.motion[:, 0])
+
+
+def drop_lost_pins(lattice: Lattice, track: PinTrack) -> PinTrack:
+    """Drop the pins that are lost from a track."""
+    left = lattice.left
+    return track._replace(motion=track.motion[left], identity=track.identity[left])
+
+
+def add_lost_pins(lattice: Lattice, track: PinTrack) -> PinTrack:
+    """Add the pins that are lost to a track of the others, as missing."""
+    motion, identity = np.full(lattice.rest.shape, np.nan), np.full(len(lattice.rest), -1)
+    motion[lattice.left], identity[lattice.left] = track.motion, track.identity
+    return track._replace(motion=motion, identity=identity)
 
 
 def assess_track(
