@@ -68,6 +68,10 @@ def find_pins(
     in `without` and those that no image shows, have no place. Raises `UserError` if nothing can be
     read or pins are not this layout's.
     """
+    last = len(lattice.flat if isinstance(lattice, MarkerLayout) else lattice.rest) - 1
+    if without and not 0 <= min(without) <= max(without) <= last:
+        numbers = ",".join(map(str, without))
+        raise UserError(f"--without {numbers}: pins have numbers from 0 to {last}")
     if preprocess is None:
         first = read_first_image(read_recordings(path, Preprocess()).files)
         preprocess = Preprocess(
@@ -86,11 +90,6 @@ def find_pins(
         else:
             untouched = _detect_all(read_recordings(rest, preprocess), view).pins
         lattice = fit_lattice([each.pins for each in untouched], lattice)
-    if without and not 0 <= min(without) <= max(without) < len(lattice.rest):
-        raise UserError(
-            f"--without {','.join(map(str, without))}: pins have numbers from 0 to "
-            f"{len(lattice.rest) - 1}, as the rows of place_px in pins.npz"
-        )
     fitted = time.perf_counter()
     lattice = make_lattice(lattice.rest, lattice.ring, without or lattice.lost)
     tracks = track_all(lattice, detection.pins)

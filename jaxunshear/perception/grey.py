@@ -15,7 +15,7 @@ MIN_BINARY_SHARE = 0.97  # share of such pixels: compression leaves a few greys
 MIN_CONTRAST = 0.05
 DARK_GREY = 0.35  # below which the brightest hundredth of a frame is too dark for its threshold
 SATURATED_GREY = 0.98
-MAX_SATURATED_SHARE = 0.4  # of the pixels: the housing alone takes less
+MAX_SATURATED_SHARE = 0.35  # of the pixels: pins and housing take a quarter
 SHARP_SIDE_PX = 256  # to which a frame is reduced before its sharpness is measured
 MIN_SHARPNESS = 0.1  # of the contrast, by which neighbouring pixels at the sharpest places differ
 
@@ -119,10 +119,10 @@ def explain_exposure(grey: Float[np.ndarray, "H W"]) -> str:
         return (
             f"the frames are too dark (grey {255 * high:.0f} of 255): expose longer, or light more"
         )
-    if is_binary(grey):
-        return ""
     if np.mean(grey > SATURATED_GREY) > MAX_SATURATED_SHARE:
         return "the frames are overexposed: expose for a shorter time"
+    if is_binary(grey):
+        return ""
     step = max(1, min(grey.shape) // SHARP_SIDE_PX)
     height, width = (side // step * step for side in grey.shape)
     small = grey[:height, :width].reshape(height // step, step, width // step, step).mean((1, 3))

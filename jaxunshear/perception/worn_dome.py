@@ -56,7 +56,7 @@ MAX_SEEN_SHARE = 0.02  # of the frames, in which dust may stand for a lost pin
 
 def find_lost_pins(lattice: Lattice, tracks: Sequence[PinTrack]) -> list[int]:
     """Find the pins that no frame of a camera shows; none if fewer than MIN_FRAMES are sure."""
-    seen = [track.visible for track in tracks if track.identified]
+    seen = [track.visible | (track.identity >= 0) for track in tracks if track.identified]
     if len(seen) < MIN_FRAMES:
         return list(lattice.lost)
     return np.flatnonzero(np.mean(seen, axis=0) <= MAX_SEEN_SHARE).tolist()
