@@ -87,7 +87,7 @@ def _measure(lattice: Lattice, worn: Worn) -> Json:
     """Track pins as `jaxunshear pins` does, and compare them with the truth."""
     detected = [detect_pins(image) for image in worn.images]
     alone = tracks = track_all(lattice, detected)
-    lost = find_lost_pins(lattice, alone)
+    lost = find_lost_pins(alone)
     if lost:
         lattice = make_lattice(lattice.rest, lattice.ring, lost)
         tracks = track_all(lattice, detected)

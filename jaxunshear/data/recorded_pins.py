@@ -22,7 +22,6 @@ from jaxunshear.perception.pin_detection import DetectedPins, detect_pins
 from jaxunshear.perception.pin_track import PinTrack
 from jaxunshear.perception.pin_tracking import track_all
 from jaxunshear.perception.preprocess import View
-from jaxunshear.perception.worn_dome import find_lost_pins
 from jaxunshear.progress import Progress
 from jaxunshear.results.applications import PinScore, PinScores
 from jaxunshear.selection import select_evenly
@@ -64,8 +63,8 @@ def find_pins(
 
     Images are prepared as `preprocess` says, or else in their own size, up to LARGEST_PX. A
     `lattice` holds the rest positions; a layout is fitted, to untouched images at `rest` or else
-    to the images themselves: motions are then from their mean position. Pins that are lost, those
-    in `without` and those that no image shows, have no place. Raises `UserError` if nothing can be
+    to the images themselves: motions are then from their mean position. Lost pins, those in
+    `without` or else those that no image shows, have no place. Raises `UserError` if nothing can be
     read or pins are not this layout's.
     """
     last = len(lattice.flat if isinstance(lattice, MarkerLayout) else lattice.rest) - 1
@@ -89,14 +88,11 @@ def find_pins(
             origin = "the pins' mean place in these images"
         else:
             untouched = _detect_all(read_recordings(rest, preprocess), view).pins
-        lattice = fit_lattice([each.pins for each in untouched], lattice)
+        lattice = fit_lattice([each.pins for each in untouched], lattice, without)
+    elif without:
+        lattice = make_lattice(lattice.rest, lattice.ring, without)
     fitted = time.perf_counter()
-    lattice = make_lattice(lattice.rest, lattice.ring, without or lattice.lost)
     tracks = track_all(lattice, detection.pins)
-    lost = find_lost_pins(lattice, tracks)
-    if set(lost) - set(lattice.lost):
-        lattice = make_lattice(lattice.rest, lattice.ring, lost)
-        tracks = track_all(lattice, detection.pins)
     seconds = detection.seconds + time.perf_counter() - fitted
     motions = [np.where(track.identified, track.motion, np.nan) for track in tracks]
     place = lattice.rest + np.array(motions)

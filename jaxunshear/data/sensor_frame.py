@@ -206,10 +206,8 @@ def _fit_sensor_frame(
     """
     from jaxunshear.perception.lattice_fitting import fit_lattice, make_layout
     from jaxunshear.perception.pin_detection import detect_pins
-    from jaxunshear.perception.pin_tracking import track_all
     from jaxunshear.perception.preprocess import prepare_frame
     from jaxunshear.perception.sensor_check import invert_image
-    from jaxunshear.perception.worn_dome import find_lost_pins
 
     detected = []
     for row in select_evenly(len(files), LATTICE_FRAMES):
@@ -228,7 +226,7 @@ def _fit_sensor_frame(
         radius_px=scale * float(np.median([each.radius for each in detected])),
         size=preprocess.size,
         pins_px=size,
-        lost=tuple(find_lost_pins(lattice, track_all(lattice, detected))),
+        lost=lattice.lost,
     )
 
 

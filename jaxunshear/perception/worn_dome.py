@@ -4,7 +4,7 @@ This road is slower and is for images in which pins are not identified otherwise
 pins is no fault here as long as the pins around it agree, nor is a pin off its neighbours as long
 as nearly every pin is found. A dot that alone moves otherwise than all dots around it is dust.
 
->>> lost = find_lost_pins(lattice, track_all(lattice, frames))
+>>> lost = find_lost_pins(track_all(lattice, frames))
 >>> tracks = track_all(make_lattice(lattice.rest, lattice.ring, lost), frames)
 """
 
@@ -54,11 +54,11 @@ MIN_FRAMES = 10  # identified ones that show which pins are lost
 MAX_SEEN_SHARE = 0.02  # of the frames, in which dust may stand for a lost pin
 
 
-def find_lost_pins(lattice: Lattice, tracks: Sequence[PinTrack]) -> list[int]:
+def find_lost_pins(tracks: Sequence[PinTrack]) -> list[int]:
     """Find the pins that no frame of a camera shows; none if fewer than MIN_FRAMES are sure."""
     seen = [track.visible | (track.identity >= 0) for track in tracks if track.identified]
     if len(seen) < MIN_FRAMES:
-        return list(lattice.lost)
+        return []
     return np.flatnonzero(np.mean(seen, axis=0) <= MAX_SEEN_SHARE).tolist()
 
 
