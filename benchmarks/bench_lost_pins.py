@@ -34,7 +34,7 @@ from jaxunshear.selection import select_evenly
 from jaxunshear.simulator.simulate import simulate
 from jaxunshear.text_table import format_text_table
 
-FRAMES = 120
+FRAMES = 60  # taps and slides, or recorded ones, of a level
 OUT_OF_VIEW = (1e3, 1e3, 1e-3)  # mm, of the tip of a lost pin
 COLUMNS = (
     *("name", "lost", "dust", "frames", "alone", "wrong_alone", "sure", "wrong", "found"),
