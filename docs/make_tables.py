@@ -79,7 +79,10 @@ TABLES = {
         simulated_tables.tabulate_regularisation,
     ),
     "docs/cluster.md": (application_tables.tabulate_sizes,),
-    "docs/robot.md": (application_tables.tabulate_exported_speed,),
+    "docs/robot.md": (
+        application_tables.tabulate_exported_speed,
+        application_tables.tabulate_lost_pins,
+    ),
     "docs/explore.md": (application_tables.tabulate_explorer,),
     "docs/speed.md": (
         simulator_tables.tabulate_training,
