@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import Recordings, read_first_image, read_recordings
-from jaxunshear.data.sensor_frame import LARGEST_PX
+from jaxunshear.data.sensor_frame import LARGEST_PX, explain_failure
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import Lattice, make_lattice
 from jaxunshear.perception.lattice_fitting import MarkerLayout, fit_lattice
@@ -88,7 +88,10 @@ def find_pins(
             origin = "the pins' mean place in these images"
         else:
             untouched = _detect_all(read_recordings(rest, preprocess), view).pins
-        lattice = fit_lattice([each.pins for each in untouched], lattice, without)
+        try:
+            lattice = fit_lattice([each.pins for each in untouched], lattice, without)
+        except UserError as error:
+            raise explain_failure(error, recordings.files[0]) from error
     elif without:
         lattice = make_lattice(lattice.rest, lattice.ring, without)
     fitted = time.perf_counter()

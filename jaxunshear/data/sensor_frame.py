@@ -115,7 +115,21 @@ def identify_sensor(contacts: RecordedContacts, preprocess: Preprocess) -> Senso
         raise UserError(
             f"none of {len(probes)} images of {folder} can be read; the last: {problem}"
         )
-    return match_sensor(counts, MAX_PIN_COUNT_ERROR, str(folder))
+    try:
+        return match_sensor(counts, MAX_PIN_COUNT_ERROR, str(folder))
+    except UserError as error:
+        raise explain_failure(error, contacts.files[probes[0]]) from error
+
+
+def explain_failure(error: UserError, file: Path) -> UserError:
+    """Return the error for frames whose pins are not understood, by the light and focus of one."""
+    from jaxunshear.perception.grey import explain_exposure, to_grey
+
+    try:
+        exposure = explain_exposure(to_grey(read_image(file)))
+    except UserError:
+        return error
+    return UserError(f"{file.parent}: {exposure}") if exposure else error
 
 
 def match_sensor(pin_counts: Sequence[int], max_error: float, place: str) -> Sensor:
@@ -216,7 +230,10 @@ def _fit_sensor_frame(
         except UserError:
             continue  # reported once all frames are read
         detected.append(detect_pins(invert_image(image) if inverted else image))
-    lattice = fit_lattice([each.pins for each in detected], make_layout(sensor))
+    try:
+        lattice = fit_lattice([each.pins for each in detected], make_layout(sensor))
+    except UserError as error:
+        raise explain_failure(error, files[0]) from error
     scale = preprocess.size / size
     return SensorFrame(
         view=view,

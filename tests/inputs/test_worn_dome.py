@@ -10,8 +10,10 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Sensor
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Preprocess, Sensor
 from jaxunshear.data.recorded_pins import Pins, find_pins
+from jaxunshear.data.recordings import read_recordings
+from jaxunshear.data.sensor_frame import find_recordings_frame
 from jaxunshear.doctor import check_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.perception.grey import explain_exposure
@@ -177,11 +179,13 @@ def leaves_sound_dome(place: Place) -> None:
         assert track_worn_pins(rest, each, track) is track
 
 
-def ends_with_2(*words: str, message: str) -> Callable[[Place], None]:
+def ends_with_2(
+    *words: str, message: str, change: Callable = lambda image: image
+) -> Callable[[Place], None]:
     def check(place: Place) -> None:
-        folder = save(place.folder / "frames")
+        folder = save(place.folder / "frames", change)
         answer = place.command("pins", folder, *words, "--out", place.folder / "out")
-        assert answer.code == 2 and message in answer.err and answer.err.count("\n") == 1
+        assert answer.code == 2 and message in answer.err.splitlines()[-1]
         assert not (place.folder / "out").exists()
 
     return check
@@ -211,6 +215,20 @@ def scale(factor: float) -> Callable[[np.ndarray], np.ndarray]:
 def blur(image: np.ndarray) -> np.ndarray:
     soft = ndimage.gaussian_filter(image.astype(float), 5)
     return (200 * soft / soft.max() + 30).astype(np.uint8)
+
+
+def is_named(reason: str, change: Callable, count: int = 20) -> Callable[[Place], None]:
+    """Weights that read a folder's frames name the reason."""
+
+    def check(place: Place) -> None:
+        folder = place.folder / "frames"
+        folder.mkdir()
+        for number in range(count):
+            Image.fromarray(change(draw_worn(number=number))).save(folder / f"image_{number}.png")
+        with pytest.raises(UserError, match=reason):
+            find_recordings_frame(read_recordings(folder, Preprocess()), Preprocess(), TACTIP_331)
+
+    return check
 
 
 def show_tacpad(image: np.ndarray) -> np.ndarray:
@@ -290,6 +308,14 @@ CASES = [
     Case("lost pins", "networks", "filled from their neighbours", fills_lost),
     Case("a pin behind the housing", "networks", "not filled", keeps_hidden),
     Case("dark frames", "doctor", "too dark", says("too dark", scale(0.12))),
+    Case("dark frames", "unshear", "error: too dark", is_named("too dark", scale(0.12))),
+    Case("blurred frames", "unshear", "error: blurred", is_named("blurred", blur)),
+    Case(
+        "dark frames",
+        "pins",
+        "exit code 2, one reason",
+        ends_with_2(message="too dark", change=scale(0.12)),
+    ),
     Case("overexposed frames", "doctor", "overexposed", says("overexposed", scale(9.0))),
     Case("blurred frames", "doctor", "blurred", says("blurred", blur)),
     Case("a sensor of 13 pins", "doctor", "too few pins", says("about 13 pins", show_tacpad)),
