@@ -38,7 +38,7 @@ FRAMES = 40  # taps and slides, or recorded ones, of a level
 OUT_OF_VIEW = (1e3, 1e3, 1e-3)  # mm, of the tip of a lost pin
 COLUMNS = (
     *("name", "lost", "dust", "frames", "alone", "wrong_alone", "sure", "wrong", "found"),
-    *("rms_px", "times"),
+    "rms_px",
 )
 format_table = partial(format_text_table, columns=COLUMNS)
 
@@ -72,13 +72,10 @@ def bench_lost_pins(recordings: Path | None = None, seed: int = 0) -> list[Json]
     rows: list[Json] = []
     with Progress("bench lost_pins", len(sources) * len(LEVELS), unit="levels") as progress:
         for source, lattice, frames in sources:
-            intact = 0.0
             for wear, worn in zip(LEVELS, frames, strict=True):
                 row = _measure(lattice, worn)
-                intact = intact or row["rms_px"]
                 name = f"{source}/{wear.lost}/{wear.dust}"
-                times = round(row["rms_px"] / intact, 3)
-                rows.append({"name": name} | wear._asdict() | row | {"times": times})
+                rows.append({"name": name} | wear._asdict() | row)
                 progress.advance()
     return rows
 

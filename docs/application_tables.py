@@ -43,7 +43,9 @@ def tabulate_lost_pins() -> str:
     lines = start_table("| pins lost, dots of dust | simulated | recorded |")
     for name in (name for name in rows if name.startswith("simulated/")):
         both = [rows[name], rows[name.replace("simulated", "recorded")]]
-        cells = ["{alone:.0%}, {sure:.0%}, {wrong}; {times:.2f}".format_map(row) for row in both]
+        cells = [
+            "{alone:.0%}, {sure:.0%}, {wrong}; {rms_px:.2f} px".format_map(row) for row in both
+        ]
         lines.append(format_line("{lost}, {dust}".format_map(both[0]), cells))
     return "\n".join(lines)
 
