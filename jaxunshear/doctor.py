@@ -220,10 +220,12 @@ def _choose_command(path: Path, usable: Sequence[FolderCheck]) -> tuple[str, str
         return _join("doctor", largest), advice
     if pins.inverted:
         return "", INVERTED
+    if pins.median < MIN_DOTS:
+        return "", "; ".join(filter(None, (NO_PINS, pins.exposure)))
     if pins.exposure:
         return "", pins.exposure
     if pins.median < MIN_PINS:
-        return "", FEW_PINS.format(pins.median) if pins.median >= MIN_DOTS else NO_PINS
+        return "", FEW_PINS.format(pins.median)
     if pins.layout is None:
         layouts = " and ".join(f"{sensor.pins} ({sensor.name})" for sensor in LAYOUTS)
         advice = f"about {pins.median:.0f} pins match no known layout, {layouts}"
