@@ -218,21 +218,13 @@ def _choose_command(path: Path, usable: Sequence[FolderCheck]) -> tuple[str, str
         largest = path / max(usable, key=lambda folder: folder.usable).name
         advice = "these folders differ in size or sensor: check each on its own"
         return _join("doctor", largest), advice
-    if pins.inverted:
-        return "", INVERTED
-    if pins.median < MIN_DOTS:
-        return "", "; ".join(filter(None, (NO_PINS, pins.exposure)))
-    if pins.exposure:
-        return "", pins.exposure
-    if pins.median < MIN_PINS:
-        return "", FEW_PINS.format(pins.median)
+    if reason := _explain_pins(pins):
+        return "", reason
     if pins.layout is None:
         layouts = " and ".join(f"{sensor.pins} ({sensor.name})" for sensor in LAYOUTS)
         advice = f"about {pins.median:.0f} pins match no known layout, {layouts}"
         file = "FILE gives x and y of each pin, a line each"
         return _join("pins", path, "--layout", "FILE"), f"{advice}; {file}"
-    if pins.followed < MIN_FOLLOWED:
-        return "", UNSURE.format(pins.followed)
     taps = sum(each.labels.taps for each in usable)
     slides = sum(each.labels.slides for each in usable)
     if taps and slides:
@@ -243,6 +235,20 @@ def _choose_command(path: Path, usable: Sequence[FolderCheck]) -> tuple[str, str
             advice += "; with --unshear.input pins --paired.pairing simulated they unshear"
         return _join("fit", "--taps" if taps else "--slides", path), advice
     return _choose_inference(path, usable, pins.layout)
+
+
+def _explain_pins(pins: PinCheck) -> str:
+    """Say why no command can follow these pins; empty if one may."""
+    if pins.inverted:
+        return INVERTED
+    if pins.median < MIN_DOTS:
+        return "; ".join(filter(None, (NO_PINS, pins.exposure)))
+    if pins.exposure:
+        return pins.exposure
+    if pins.median < MIN_PINS:
+        return FEW_PINS.format(pins.median)
+    unsure = pins.layout is not None and pins.followed < MIN_FOLLOWED
+    return UNSURE.format(pins.followed) if unsure else ""
 
 
 def _choose_inference(path: Path, usable: Sequence[FolderCheck], layout: str) -> tuple[str, str]:
