@@ -31,13 +31,11 @@ from jaxunshear.perception.pin_track import (
     repair_identities,
 )
 
-# Limits are between what right and wrong identities of simulated frames have, which
-# `python -m benchmarks lost_pins` makes: 0 to 8 % of pins lost, 0 to 2 % dust, sharp contacts.
+# Limits are between what right and wrong identities of simulated frames have: with 0 to 8 % of
+# pins lost and 0 to 2 % dust, and of 127 pins also under deep contacts of sharp shapes.
 MAX_WORN_OFFSET = 0.45  # of the spacing, of a pin from its neighbours' motion
 MAX_HOLE_SHARE = 0.1  # of the pins that may be missing within the inner rings
-MIN_NEIGHBOURS = (
-    4  # of NEAREST, that are seen around such a hole; around an outer pin there are more
-)
+MIN_NEIGHBOURS = 4  # of NEAREST, seen around such a hole; an outer pin that is sure has more
 # Pins off their neighbours, plus twice the pins or dots, whichever are fewer, without a partner:
 # identities that are one row off have this many in a row, which is about sqrt(pins) long.
 MAX_ROW_FAULTS = 1.5
