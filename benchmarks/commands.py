@@ -54,6 +54,11 @@ COMMANDS = {
     "pins": Benchmark(
         "error and time of finding the pins of images", "bench_pins", ("size", "seed")
     ),
+    "lost_pins": Benchmark(
+        "images that are sure, and the error of pins, while pins are lost and dust comes",
+        "bench_lost_pins",
+        ("recordings", "seed"),
+    ),
     "stream": Benchmark(
         "a robot's perception, a frame at a time, beside the exported file and PyTorch",
         "bench_networks",
@@ -74,6 +79,11 @@ _ARGUMENTS: dict[str, dict[str, Any]] = {
     "batch": {"metavar": "N", "type": int, "help": "only rows with N scenes or images in a batch"},
     "size": {"metavar": "PX", "type": int, "help": "only images of this size"},
     "seed": {"metavar": "N", "type": int, "default": 0, "help": "of the contacts (0)"},
+    "recordings": {
+        "metavar": "DIR",
+        "type": Path,
+        "help": "also of these, with pins painted over",
+    },
     "out": {"metavar": "DIR", "type": Path, "help": "folder for the figure"},
 }
 _LEAST = {"batch": 1, "size": 1, "seed": 0}

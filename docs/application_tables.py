@@ -37,6 +37,19 @@ def tabulate_detected_pins() -> str:
     )
 
 
+def tabulate_lost_pins() -> str:
+    """Tabulate how many images of a worn dome are sure, and how exact what networks take is."""
+    rows = {row["name"]: row for row in load_result("bench_lost_pins")["rows"]}
+    lines = start_table("| pins lost, dots of dust | simulated | recorded |")
+    for name in (name for name in rows if name.startswith("simulated/")):
+        both = [rows[name], rows[name.replace("simulated", "recorded")]]
+        cells = [
+            "{alone:.0%}, {sure:.0%}, {wrong}; {rms_px:.2f} px".format_map(row) for row in both
+        ]
+        lines.append(format_line("{lost}, {dust}".format_map(both[0]), cells))
+    return "\n".join(lines)
+
+
 def tabulate_geometry() -> str:
     """Tabulate correlation with the true indentation and error in mm, by method.
 

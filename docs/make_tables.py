@@ -83,6 +83,7 @@ TABLES = {
     "docs/robot.md": (
         application_tables.tabulate_exported_speed,
         application_tables.tabulate_filter,
+        application_tables.tabulate_lost_pins,
     ),
     "docs/explore.md": (application_tables.tabulate_explorer,),
     "docs/speed.md": (

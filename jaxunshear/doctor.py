@@ -8,7 +8,7 @@ import shlex
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from jaxunshear.data.sensor_frame import LARGEST_PX, MIN_FRAMES
 from jaxunshear.data.tables import LabelProblem
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
-from jaxunshear.perception.grey import check_frame, to_grey
+from jaxunshear.perception.grey import check_frame, explain_exposure, to_grey
 from jaxunshear.perception.lattice_fitting import fit_lattice, make_layout
 from jaxunshear.perception.pin_detection import detect_pins
 from jaxunshear.perception.pin_tracking import track_all
@@ -33,11 +33,17 @@ LAYOUTS = (TACTIP_331, TACTIP_127)
 INSPECTED_IMAGES = 40  # frames whose pins are found, shared by the folders
 MIN_INSPECTED_PER_FOLDER = 8  # in each of many folders
 MIN_PX = 32  # side of the prepared frames
-MIN_PINS = 20  # frames with fewer show none
-PINS_RATIO = (0.85, 1.1)  # found pins over a layout's, within which it is tried
+MIN_PINS = 20  # frames with fewer show no layout
+MIN_DOTS = 5  # frames with fewer show no pins
+MIN_FOLLOWED = 0.5  # share of the frames: commands leave out the others, and half is no success
 MAX_LISTED_IMAGES = 20  # problems in the text; --json has all
 INVERTED = "the pins are dark on a light ground: invert the frames, then check them again"
 NO_PINS = "no pins are found: frames must show the light pins of a TacTip on a dark ground"
+FEW_PINS = f"about {{:.0f}} pins are found: sensors of fewer than {MIN_PINS} are not known here"
+UNSURE = (
+    "identities of pins are sure in {:.0%} of the frames alone: light and focus the sensor well, "
+    "and keep all of its pins in view"
+)
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,7 @@ class PinCheck:
     layout: str | None  # name of the sensor with this layout; None if no layout fits
     followed: float  # share of the sampled frames in which every pin is identified
     inverted: bool  # dark pins on a light ground
+    exposure: str  # what is wrong with the light or the focus; empty if pins are identified
 
 
 @dataclass(frozen=True)
@@ -183,10 +190,12 @@ def _check_pins(files: list[Path]) -> PinCheck | None:
     if not raws:
         return None
     check = _track_pins(raws)
-    if check.layout is None:
-        negative = _track_pins([1 - to_grey(raw) for raw in raws], inverted=True)
-        return negative if negative.layout else check
-    return check
+    if check.followed >= MIN_FOLLOWED:
+        return check
+    negative = _track_pins([1 - to_grey(raw) for raw in raws], inverted=True)
+    if negative.followed > check.followed:
+        return negative
+    return replace(check, exposure=explain_exposure(to_grey(raws[len(raws) // 2])))
 
 
 def _track_pins(raws: list[np.ndarray], inverted: bool = False) -> PinCheck:
@@ -196,13 +205,13 @@ def _track_pins(raws: list[np.ndarray], inverted: bool = False) -> PinCheck:
     median = float(np.median([len(each.pins) for each in detections]))
     layout, followed = None, 0.0
     for sensor in LAYOUTS:
-        if PINS_RATIO[0] * sensor.pins <= median <= PINS_RATIO[1] * sensor.pins:
-            with suppress(UserError):  # as many pins, in another pattern
-                lattice = fit_lattice([each.pins for each in detections], make_layout(sensor))
-                tracks = track_all(lattice, detections)
-                followed = float(np.mean([track.identified for track in tracks]))
-                layout = sensor.name
-    return PinCheck(len(detections), median, layout, followed, inverted)
+        with suppress(UserError):  # too few pins, or in another pattern
+            lattice = fit_lattice([each.pins for each in detections], make_layout(sensor))
+            tracks = track_all(lattice, detections)
+            followed = float(np.mean([track.identified for track in tracks]))
+            layout = sensor.name
+            break
+    return PinCheck(len(detections), median, layout, followed, inverted, "")
 
 
 def _choose_command(path: Path, usable: Sequence[FolderCheck]) -> tuple[str, str]:
@@ -213,10 +222,8 @@ def _choose_command(path: Path, usable: Sequence[FolderCheck]) -> tuple[str, str
         largest = path / max(usable, key=lambda folder: folder.usable).name
         advice = "these folders differ in size or sensor: check each on its own"
         return _join("doctor", largest), advice
-    if pins.inverted:
-        return "", INVERTED
-    if pins.median < MIN_PINS:
-        return "", NO_PINS
+    if reason := _explain_pins(pins):
+        return "", reason
     if pins.layout is None:
         layouts = " and ".join(f"{sensor.pins} ({sensor.name})" for sensor in LAYOUTS)
         advice = f"about {pins.median:.0f} pins match no known layout, {layouts}"
@@ -232,6 +239,20 @@ def _choose_command(path: Path, usable: Sequence[FolderCheck]) -> tuple[str, str
             advice += "; with --unshear.input pins --paired.pairing simulated they unshear"
         return _join("fit", "--taps" if taps else "--slides", path), advice
     return _choose_inference(path, usable, pins.layout)
+
+
+def _explain_pins(pins: PinCheck) -> str:
+    """Say why no command can follow these pins; empty if one may."""
+    if pins.inverted:
+        return INVERTED
+    if pins.median < MIN_DOTS:
+        return "; ".join(filter(None, (NO_PINS, pins.exposure)))
+    if pins.exposure:
+        return pins.exposure
+    if pins.median < MIN_PINS:
+        return FEW_PINS.format(pins.median)
+    unsure = pins.layout is not None and pins.followed < MIN_FOLLOWED
+    return UNSURE.format(pins.followed) if unsure else ""
 
 
 def _choose_inference(path: Path, usable: Sequence[FolderCheck], layout: str) -> tuple[str, str]:

@@ -112,7 +112,7 @@ def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None")
         lattice = read_layout(arguments.layout)
     else:
         lattice = make_layout(get_sensor(arguments.sensor))
-    found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
+    found = find_pins(arguments.path, lattice, preprocess, arguments.rest, arguments.without)
     from jaxunshear.report.application_figures import plot_pins
 
     arrays = {
@@ -234,6 +234,13 @@ def choose_exit_code(used: float, left_out: float) -> int:
     return int(left_out >= used)
 
 
+def _parse_pins(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(map(int, text.split(",")))
+    except ValueError:
+        raise UserError(f"--without {text}: give numbers of pins, such as 12,40") from None
+
+
 def _name_model(default: str) -> Option:
     text = f"a finished run (runs/demo), or released weights by name ({default})"
     return path("--model", "DIR", text, default=Path(default))
@@ -299,6 +306,13 @@ COMMANDS = (
         ],
         path("--rest", "IMAGES", "of the untouched sensor (default: the images' mean)"),
         option("--size", "PX", "of the prepared images (theirs, at most 256)", type=int),
+        option(
+            "--without",
+            "PIN,PIN",
+            "pins that are lost, by their rows in pins.npz (default: those that no image shows)",
+            type=_parse_pins,
+            default=(),
+        ),
     ),
     _make_command(
         geometry,

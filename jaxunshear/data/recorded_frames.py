@@ -32,10 +32,16 @@ from jaxunshear.data.sensor_frame import SensorFrame, to_detection_px, to_image_
 from jaxunshear.environment import count_cores
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_npz
+from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_detection import detect_pins
 from jaxunshear.perception.pin_track import PinTrack
-from jaxunshear.perception.pin_tracking import MotionPrior, fit_motion_prior, track_pins
+from jaxunshear.perception.pin_tracking import (
+    MotionPrior,
+    fit_motion_prior,
+    track_pins,
+)
 from jaxunshear.perception.preprocess import prepare_frame
+from jaxunshear.perception.worn_dome import track_worn_pins
 
 CHUNK = 250  # frames in a file
 NO_IMAGE = np.zeros((0, 1), np.uint8)
@@ -68,7 +74,7 @@ def prepare_chunks(
 
     paths = write_chunks(folder, numbers, prepare, label)
     prior = _fit_motion_prior(contacts, paths, frame)
-    hard = [path for path in paths if prior is not None and _has_hard_frames(path)]
+    hard = [path for path in paths if _has_hard_frames(path)]
     retries = _map_over_cores(_retry_chunk, [(path, frame, prior) for path in hard])
     for path, chunk in zip(hard, retries, strict=True):
         write_npz(path, chunk)
@@ -111,7 +117,7 @@ def _prepare_chunk(
             continue
         track = track_pins(lattice, detect_pins(large_images[i]))
         usable[i], identified[i] = True, track.identified
-        pins[i] = to_image_px(frame, lattice.rest + track.motion)
+        pins[i] = _place_pins(frame, lattice, track)
     hard = usable & ~identified
     return {
         "number": number,
@@ -125,16 +131,23 @@ def _prepare_chunk(
     }
 
 
-def _retry_chunk(path: Path, frame: SensorFrame, prior: MotionPrior) -> Chunk:
+def _place_pins(frame: SensorFrame, lattice: Lattice, track: PinTrack) -> np.ndarray:
+    """Place pins (P, 2) px in the prepared image; those that are lost stand as their neighbours."""
+    motion = lattice.fill_holes(track.motion) if lattice.lost else track.motion
+    return to_image_px(frame, lattice.rest + motion)
+
+
+def _retry_chunk(path: Path, frame: SensorFrame, prior: MotionPrior | None) -> Chunk:
     """Track the frames that were not identified once more, with the usual motions of training."""
     chunk = load_chunk(path)
     lattice = frame.make_detection_lattice()
     rows = np.flatnonzero(chunk["usable"] & ~chunk["sure"])
     for row, image in zip(rows, unpack_bits(chunk["seen"], frame.pins_px), strict=True):
-        track = track_pins(lattice, detect_pins(image), prior)
+        detected = detect_pins(image)
+        track = track_worn_pins(lattice, detected, track_pins(lattice, detected, prior))
         if track.identified:
             chunk["sure"][row] = True
-            chunk["pins"][row] = to_image_px(frame, lattice.rest + track.motion)
+            chunk["pins"][row] = _place_pins(frame, lattice, track)
     return chunk | {"tried": np.array(True), "seen": NO_IMAGE}
 
 

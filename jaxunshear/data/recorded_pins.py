@@ -5,6 +5,7 @@
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -13,8 +14,9 @@ import numpy as np
 
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import Recordings, read_first_image, read_recordings
-from jaxunshear.data.sensor_frame import LARGEST_PX
-from jaxunshear.perception.lattice import Lattice
+from jaxunshear.data.sensor_frame import LARGEST_PX, explain_failure
+from jaxunshear.errors import UserError
+from jaxunshear.perception.lattice import Lattice, make_lattice
 from jaxunshear.perception.lattice_fitting import MarkerLayout, fit_lattice
 from jaxunshear.perception.pin_detection import DetectedPins, detect_pins
 from jaxunshear.perception.pin_track import PinTrack
@@ -55,14 +57,20 @@ def find_pins(
     lattice: Lattice | MarkerLayout,
     preprocess: Preprocess | None = None,
     rest: Path | None = None,
+    without: Sequence[int] = (),
 ) -> Pins:
     """Find the pins of an image or a folder of recordings.
 
     Images are prepared as `preprocess` says, or else in their own size, up to LARGEST_PX. A
     `lattice` holds the rest positions; a layout is fitted, to untouched images at `rest` or else
-    to the images themselves: motions are then from their mean position. Raises `UserError` if
-    nothing can be read or pins are not this layout's.
+    to the images themselves: motions are then from their mean position. Lost pins, those in
+    `without` or else those that no image shows, have no place. Raises `UserError` if nothing can be
+    read or pins are not this layout's.
     """
+    last = len(lattice.flat if isinstance(lattice, MarkerLayout) else lattice.rest) - 1
+    if without and not 0 <= min(without) <= max(without) <= last:
+        numbers = ",".join(map(str, without))
+        raise UserError(f"--without {numbers}: pins have numbers from 0 to {last}")
     if preprocess is None:
         first = read_first_image(read_recordings(path, Preprocess()).files)
         preprocess = Preprocess(
@@ -80,7 +88,12 @@ def find_pins(
             origin = "the pins' mean place in these images"
         else:
             untouched = _detect_all(read_recordings(rest, preprocess), view).pins
-        lattice = fit_lattice([each.pins for each in untouched], lattice)
+        try:
+            lattice = fit_lattice([each.pins for each in untouched], lattice, without)
+        except UserError as error:
+            raise explain_failure(error, recordings.files[0]) from error
+    elif without:
+        lattice = make_lattice(lattice.rest, lattice.ring, without)
     fitted = time.perf_counter()
     tracks = track_all(lattice, detection.pins)
     seconds = detection.seconds + time.perf_counter() - fitted
@@ -93,7 +106,7 @@ def find_pins(
         motion_from=origin,
         fit_s=fitted - start,
         ms_per_image=1e3 * seconds / len(names),
-        left_out=list(recordings.notes),
+        left_out=[*_name_lost(lattice), *recordings.notes],
     )
     shown = [ShownImage(names[i], image, tracks[i]) for i, image in detection.images.items()]
     identified = np.array([track.identified for track in tracks])
@@ -129,6 +142,14 @@ def _detect_all(recordings: Recordings, view: View) -> _Detection:
     return _Detection(pins, names, images, seconds)
 
 
+def _name_lost(lattice: Lattice) -> list[str]:
+    if not lattice.lost:
+        return []
+    numbers = ", ".join(map(str, lattice.lost[:MAX_NAMED]))
+    more = f" and {len(lattice.lost) - MAX_NAMED} more" if len(lattice.lost) > MAX_NAMED else ""
+    return [f"{len(lattice.lost)} pins are lost, and left out of all images: {numbers}{more}"]
+
+
 def _score_track(name: str, track: PinTrack) -> PinScore:
     largest_motion = None
     if track.identified:
@@ -149,7 +170,7 @@ def summary(table: PinScores) -> str:
     rows, pins = table.rows, table.pins
     identified = [row for row in rows if row.sure]
     percent = 100 * len(identified) / len(rows)
-    full = sum(row.matched == pins for row in identified)
+    full = sum(row.missed == 0 for row in identified)
     lines = [
         f"{len(rows)} images: {len(identified)} with every pin's identity sure "
         f"({percent:.1f} %), {full} of them with all {pins} pins",

@@ -49,12 +49,13 @@ class SensorFrame(NamedTuple):
     radius_px: float  # of a pin
     size: int  # side of the prepared images, px
     pins_px: int  # side of the images that pins are detected in
+    lost: tuple[int, ...] = ()  # pins that no frame shows
 
     def make_detection_lattice(self) -> "Lattice":
         """Make the lattice, px of the images that pins are detected in."""
         from jaxunshear.perception.lattice import make_lattice
 
-        return make_lattice(to_detection_px(self, self.rest), self.ring)
+        return make_lattice(to_detection_px(self, self.rest), self.ring, self.lost)
 
     def describe(self) -> Json:
         """Describe the frame as metadata keep it; `parse_frame` reads it."""
@@ -68,6 +69,7 @@ class SensorFrame(NamedTuple):
             "radius_px": round(self.radius_px, 4),
             "size": self.size,
             "pins_px": self.pins_px,
+            "lost": self.lost,
         }
 
 
@@ -86,6 +88,7 @@ def parse_frame(stored: Json) -> SensorFrame:
         radius_px=stored["radius_px"],
         size=stored["size"],
         pins_px=stored["pins_px"],
+        lost=tuple(stored.get("lost", ())),  # sets of before this field have none
     )
 
 
@@ -115,7 +118,21 @@ def identify_sensor(contacts: RecordedContacts, preprocess: Preprocess) -> Senso
         raise UserError(
             f"none of {len(probes)} images of {folder} can be read; the last: {problem}"
         )
-    return match_sensor(counts, MAX_PIN_COUNT_ERROR, str(folder))
+    try:
+        return match_sensor(counts, MAX_PIN_COUNT_ERROR, str(folder))
+    except UserError as error:
+        raise explain_failure(error, contacts.files[probes[0]]) from error
+
+
+def explain_failure(error: UserError, file: Path) -> UserError:
+    """Return the error for frames whose pins are not understood, by the light and focus of one."""
+    from jaxunshear.perception.grey import explain_exposure, to_grey
+
+    try:
+        exposure = explain_exposure(to_grey(read_image(file)))
+    except UserError:
+        return error
+    return UserError(f"{file.parent}: {exposure}") if exposure else error
 
 
 def match_sensor(pin_counts: Sequence[int], max_error: float, place: str) -> Sensor:
@@ -216,7 +233,10 @@ def _fit_sensor_frame(
         except UserError:
             continue  # reported once all frames are read
         detected.append(detect_pins(invert_image(image) if inverted else image))
-    lattice = fit_lattice([each.pins for each in detected], make_layout(sensor))
+    try:
+        lattice = fit_lattice([each.pins for each in detected], make_layout(sensor))
+    except UserError as error:
+        raise explain_failure(error, files[0]) from error
     scale = preprocess.size / size
     return SensorFrame(
         view=view,
@@ -226,6 +246,7 @@ def _fit_sensor_frame(
         radius_px=scale * float(np.median([each.radius for each in detected])),
         size=preprocess.size,
         pins_px=size,
+        lost=lattice.lost,
     )
 
 

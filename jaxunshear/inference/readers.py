@@ -13,11 +13,11 @@ from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
 from jaxunshear.angles import wrap_degrees
-from jaxunshear.data.sensor_frame import SensorFrame, to_detection_px, to_image_px
+from jaxunshear.data.sensor_frame import SensorFrame, to_image_px
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED, run_in_batches
 from jaxunshear.perception.drawing import draw_dots
-from jaxunshear.perception.lattice import Lattice, make_lattice
+from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import measure_motions, track_images
 from jaxunshear.perception.sensor_check import (
     MIN_PLAUSIBILITY,
@@ -109,7 +109,8 @@ class PinReader(NamedTuple):
         pins = values = self.lattice.rest + motion
         if self.frame is not None and self.transforms is not None:
             pins = to_image_px(self.frame, pins)
-            values = self.transforms.to_model(pins)
+            filled = self.lattice.rest + np.array([self.lattice.fill_holes(row) for row in motion])
+            values = self.transforms.to_model(to_image_px(self.frame, filled))
         return NetworkInputs(values.astype(np.float32), identified, pins)
 
     def finish(
@@ -171,7 +172,7 @@ def judge_batch(
 
 def make_pin_reader(frame: SensorFrame, model_rest: np.ndarray) -> PinReader:
     """Make the reader of a camera's frames for networks over pins that rest at (P, 2) px."""
-    lattice = make_lattice(to_detection_px(frame, frame.rest), frame.ring)
+    lattice = frame.make_detection_lattice()
     return PinReader(lattice, frame, make_frame_transforms(frame.rest, model_rest))
 
 

@@ -13,6 +13,11 @@ MIN_BINARY_SPAN = 0.25
 BINARY_TOLERANCE = 0.1  # share of the span within which a pixel has one of the two levels
 MIN_BINARY_SHARE = 0.97  # share of such pixels: compression leaves a few greys
 MIN_CONTRAST = 0.05
+DARK_GREY = 0.35  # below which the brightest hundredth of a frame is too dark for its threshold
+SATURATED_GREY = 0.98
+MAX_SATURATED_SHARE = 0.35  # of the pixels: pins and housing take a quarter
+SHARP_SIDE_PX = 256  # to which a frame is reduced before its sharpness is measured
+MIN_SHARPNESS = 0.1  # of the contrast, by which neighbouring pixels at the sharpest places differ
 
 
 def find_white_pixels(raw: np.ndarray) -> Bool[np.ndarray, "H W"] | None:
@@ -105,6 +110,24 @@ def check_contrast(grey: Float[np.ndarray, "H W"]) -> None:
     """Raise UserError for a frame of one level."""
     if np.ptp(grey) < MIN_CONTRAST:
         raise UserError("this image is one flat grey: there is nothing to see in it")
+
+
+def explain_exposure(grey: Float[np.ndarray, "H W"]) -> str:
+    """Say whether a frame is too dark, overexposed or blurred, and what to do; else nothing."""
+    low, high = np.percentile(grey, (5, 99))
+    if high < DARK_GREY:
+        return (
+            f"the frames are too dark (grey {255 * high:.0f} of 255): expose longer, or light more"
+        )
+    if np.mean(grey > SATURATED_GREY) > MAX_SATURATED_SHARE:
+        return "the frames are overexposed: expose for a shorter time"
+    if is_binary(grey):
+        return ""
+    step = max(1, min(grey.shape) // SHARP_SIDE_PX)
+    height, width = (side // step * step for side in grey.shape)
+    small = grey[:height, :width].reshape(height // step, step, width // step, step).mean((1, 3))
+    sharpness = np.percentile(np.hypot(*np.gradient(small)), 99) / (high - low)
+    return "the frames are blurred: focus the camera" if sharpness < MIN_SHARPNESS else ""
 
 
 def check_frame(raw: np.ndarray) -> None:

@@ -1,5 +1,6 @@
 """The lattice of a sensor's pins in an image at rest, with what pin tracking needs of it."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from jaxunshear.config.sensor import Sensor
 
 NEIGHBOURS = 18  # pins that predict the position of another one
 POLYNOMIAL_DEGREES = (2, 3, 4)  # of the polynomials that refine a motion, in turn
+INNER_RING_SHARE = 0.75  # of the outermost ring
 
 
 class Lattice(NamedTuple):
@@ -21,6 +23,18 @@ class Lattice(NamedTuple):
     neighbours: np.ndarray  # (P, NEIGHBOURS) the nearest other pins, the nearest first
     neighbour_weights: np.ndarray  # (P, P): their weights
     powers: dict[int, np.ndarray]  # by degree, (P, terms) polynomials of the rest position
+    lost: tuple[int, ...] = ()  # pins that are no longer on the dome, in order
+    intact: "Lattice | None" = None  # the lattice of the other pins, if any are lost
+
+    @property
+    def is_inner(self) -> Bool[np.ndarray, "P"]:
+        """Which pins are so far within that the housing hides none of them."""
+        return self.ring < INNER_RING_SHARE * self.ring.max()
+
+    @property
+    def left(self) -> Int[np.ndarray, "L"]:
+        """The pins that are not lost."""
+        return np.setdiff1d(np.arange(len(self.rest)), self.lost)
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:
@@ -33,6 +47,17 @@ class Lattice(NamedTuple):
         nearest = cKDTree(self.rest[visible]).query(self.rest)[1]
         guess = motion[visible][nearest]
         return np.where(visible[:, None], motion, self.neighbour_weights @ guess)
+
+    def fill_holes(self, motion: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 2"]:
+        """Fill the rows of lost pins, and of inner ones that are missing, from their neighbours.
+
+        Outer pins that the housing hides remain NaN: no neighbour beyond them is seen.
+        """
+        missing = np.isnan(motion[:, 0])
+        hole = missing & (self.is_inner | np.isin(np.arange(len(motion)), self.lost))
+        if missing.all() or not hole.any():
+            return motion
+        return np.where(hole[:, None], self.fill_missing(motion), motion)
 
     def measure_offsets(self, motion: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
         """Measure how far each pin stands from where its neighbours' motion px puts it.
@@ -58,9 +83,14 @@ def estimate_rings(rest: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "P"]:
 
 
 def make_lattice(
-    rest: Float[np.ndarray, "P 2"], ring: Int[np.ndarray, "P"] | None = None
+    rest: Float[np.ndarray, "P 2"],
+    ring: Int[np.ndarray, "P"] | None = None,
+    lost: Sequence[int] = (),
 ) -> Lattice:
-    """Make a lattice from the rest positions px of its pins; their rings are estimated if None."""
+    """Make a lattice from the rest positions px of its pins.
+
+    Rings are estimated if None. Pins that are `lost` are searched for in no image.
+    """
     offset, spacing = rest - rest.mean(axis=0), measure_spacing(rest)
     unit = offset / np.abs(offset).max()
     powers = {degree: _powers(unit, degree) for degree in POLYNOMIAL_DEGREES}
@@ -69,7 +99,10 @@ def make_lattice(
     near_weights = compute_neighbour_weights(rest[near] - rest[:, None], spacing)
     weights = np.zeros((len(rest), len(rest)))
     np.put_along_axis(weights, near, near_weights, axis=1)
-    return Lattice(rest, ring, spacing, near, weights, powers)
+    lattice = Lattice(rest, ring, spacing, near, weights, powers, tuple(sorted(lost)))
+    if not lattice.lost:
+        return lattice
+    return lattice._replace(intact=make_lattice(rest[lattice.left], ring[lattice.left]))
 
 
 def measure_spacing(rest: Float[np.ndarray, "P 2"]) -> float:

@@ -1,5 +1,6 @@
 """Fit the lattice of a camera's images to them, however the camera frames and turns them."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +15,9 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import read_points
 from jaxunshear.perception.lattice import Lattice, compute_rings, estimate_rings, make_lattice
 from jaxunshear.perception.pin_detection import DetectedPins, find_hull
+from jaxunshear.perception.pin_track import PinTrack
 from jaxunshear.perception.pin_tracking import track_all
+from jaxunshear.perception.worn_dome import find_lost_pins
 from jaxunshear.simulator.camera import project, to_image_px
 from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
 
@@ -65,11 +68,14 @@ def read_layout(file: Path) -> MarkerLayout:
     return MarkerLayout(f"layout {file.name}", flat, estimate_rings(flat), 360.0)
 
 
-def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout) -> Lattice:
+def fit_lattice(
+    frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout, without: Sequence[int] = ()
+) -> Lattice:
     """Fit the lattice that images of one camera share: the mean position of each pin.
 
-    `frames` holds the detected pins px of each image. Raises UserError if these do not appear to be
-    pins of this layout.
+    `frames` holds the detected pins px of each image. Pins that none of ten or more images shows
+    are lost, and those named by `without`. Raises UserError if these do not appear to be pins of
+    this layout.
     """
     full = [pins for pins in frames if len(pins) >= MIN_PIN_SHARE * len(layout.flat)]
     if not full:
@@ -78,26 +84,26 @@ def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout) ->
             f"at most {most} pins are found in an image, where {layout.name} has {len(layout.flat)}"
         )
     frames = full[:: -(-len(full) // MAX_IMAGES)]
-    rest = _guess_rest(frames, layout)
+    rest, lost = _guess_rest(frames, layout), without
     for _ in range(2):
-        lattice = make_lattice(rest, layout.ring)
-        mean_motion = _measure_mean_motion(lattice, frames)
+        lattice = make_lattice(rest, layout.ring, lost)
+        tracks = track_all(lattice, [DetectedPins(pins) for pins in frames])
+        mean_motion = _measure_mean_motion(lattice, tracks)
         if mean_motion is None:
             raise UserError(
                 f"the pins of these images do not form the lattice of {layout.name} with "
                 f"{len(rest)} pins: about {np.median([len(pins) for pins in frames]):.0f} pins "
                 "are found; name another sensor"
             )
-        rest = rest + mean_motion
-    return make_lattice(rest, layout.ring)
+        rest, lost = rest + mean_motion, without or find_lost_pins(tracks)
+    return make_lattice(rest, layout.ring, lost)
 
 
-def _measure_mean_motion(lattice: Lattice, frames: list[np.ndarray]) -> np.ndarray | None:
+def _measure_mean_motion(lattice: Lattice, tracks: list[PinTrack]) -> np.ndarray | None:
     """Measure the mean motion (P, 2) px of the pins; None if they do not match the lattice.
 
     Pins that no image shows follow the mean motion of their neighbours.
     """
-    tracks = track_all(lattice, [DetectedPins(pins) for pins in frames])
     identified = [track for track in tracks if track.identified]
     motion = np.array([track.motion for track in identified or tracks])
     count = np.isfinite(motion[..., 0]).sum(axis=0)
@@ -105,7 +111,7 @@ def _measure_mean_motion(lattice: Lattice, frames: list[np.ndarray]) -> np.ndarr
     if np.mean(count > 0) < MIN_TRACKED_SHARE or extra > MAX_EXTRA_SHARE * len(lattice.rest):
         return None
     mean = np.nansum(motion, axis=0) / np.maximum(count, 1)[:, None]
-    return np.where(count[:, None] > 0, mean, lattice.neighbour_weights @ mean)
+    return lattice.fill_missing(np.where(count[:, None] > 0, mean, np.nan))
 
 
 def _guess_rest(frames: list[np.ndarray], layout: MarkerLayout) -> np.ndarray:

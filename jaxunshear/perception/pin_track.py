@@ -20,6 +20,7 @@ from jaxunshear.perception.pin_detection import DetectedPins, MeasuredPins
 NEAREST = 8  # neighbours of a pin that it is grown from
 MIN_KNOWN_NEIGHBOURS = 3  # of these, that must be identified
 MAX_OFFSET = 0.2  # of the spacing: the largest usual offset of a pin from its neighbours' motion
+MIN_DETECTED_SHARE = 0.7  # of the lattice's pins
 MIN_IDENTIFIED_SHARE = 0.6  # share of the pins below which identities are not rated
 
 # Repair. Lengths are in units of the spacing.
@@ -34,7 +35,6 @@ MAX_NEIGHBOUR_OFFSET = 0.42
 # missing while detected ones have no identity.
 MAX_MISFIT_SHARE = 0.015
 MAX_HOLE_SHARE = 0.007  # share of the pins that may be missing within the inner rings
-INNER_RING_SHARE = 0.75  # of the outermost ring
 MIN_VISIBLE_SHARE = 0.8  # on a long slide the housing hides more than a tenth of the pins
 
 # Refinement.
@@ -63,6 +63,19 @@ class PinTrack(NamedTuple):
         return ~np.isnan(self.motion[:, 0])
 
 
+def drop_lost_pins(lattice: Lattice, track: PinTrack) -> PinTrack:
+    """Drop the pins that are lost from a track."""
+    left = lattice.left
+    return track._replace(motion=track.motion[left], identity=track.identity[left])
+
+
+def add_lost_pins(lattice: Lattice, track: PinTrack) -> PinTrack:
+    """Add the pins that are lost to a track of the others, as missing."""
+    motion, identity = np.full(lattice.rest.shape, np.nan), np.full(len(lattice.rest), -1)
+    motion[lattice.left], identity[lattice.left] = track.motion, track.identity
+    return track._replace(motion=motion, identity=identity)
+
+
 def assess_track(
     lattice: Lattice,
     motion: Float[np.ndarray, "P 2"],
@@ -84,7 +97,7 @@ def assess_track(
     if missed > (1 - MIN_VISIBLE_SHARE) * pins:
         return PinTrack(motion, identity, float("inf"), missed, extra, False)
     offset = lattice.measure_offsets(motion)
-    holes = np.sum(missing & (lattice.ring < INNER_RING_SHARE * lattice.ring.max()))
+    holes = np.sum(missing & lattice.is_inner)
     max_misfits = max(1, MAX_MISFIT_SHARE * pins)
     smooth = offset.max() <= MAX_NEIGHBOUR_OFFSET and np.sum(offset > MAX_OFFSET) <= max_misfits
     identified = smooth and holes <= MAX_HOLE_SHARE * pins and min(missed, extra) <= max_misfits

@@ -27,22 +27,20 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from jaxunshear.angles import rotation_2d
-from jaxunshear.perception.lattice import POLYNOMIAL_DEGREES, Lattice
+from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_detection import DetectedPins, detect_pins
+from jaxunshear.perception.pin_matching import compute_middle, fit_affine, match_iteratively
 from jaxunshear.perception.pin_track import (
+    MIN_DETECTED_SHARE,
     PinTrack,
+    add_lost_pins,
     assess_track,
     rate_identities,
     refine_track,
     repair_identities,
 )
+from jaxunshear.perception.worn_dome import track_worn_pins
 
-MIN_DETECTED_SHARE = 0.7  # of the lattice's pins
-MAX_MATCH_DISTANCE = 0.75  # of the spacing: beyond it a detected pin is another one
-# Fits of a polynomial, fewer if the distance of pairs falls by less than this ratio.
-REPEATS = 3
-CONVERGED_RATIO = 0.9
-NEIGHBOUR_REPEATS = 4
 FIRST_TURNS_DEG = (4, -4, 8, -8)  # of the first motion, tried if no prior is known
 MIN_PRIOR_FRAMES = 10  # identified images that a prior is fitted to, at least
 MODES = 3
@@ -78,7 +76,7 @@ def track_images(
     """
     detected = [detect_pins(image) for image in images]
     if independent:
-        tracks = [track_pins(lattice, each) for each in detected]
+        tracks = [track_worn_pins(lattice, each, track_pins(lattice, each)) for each in detected]
     else:
         tracks = track_all(lattice, detected)
     identified = np.array([track.identified for track in tracks], bool)
@@ -103,10 +101,13 @@ def track_all(lattice: Lattice, frames: list[DetectedPins]) -> list[PinTrack]:
     """Track the pins of images of one camera, in order; the identified help with the others."""
     tracks = [track_pins(lattice, detected) for detected in frames]
     prior = fit_motion_prior(lattice, tracks)
-    if prior is None:
-        return tracks
+    if prior is not None:
+        tracks = [
+            track if track.identified else track_pins(lattice, detected, prior)
+            for track, detected in zip(tracks, frames, strict=True)
+        ]
     return [
-        track if track.identified else track_pins(lattice, detected, prior)
+        track_worn_pins(lattice, detected, track)
         for track, detected in zip(tracks, frames, strict=True)
     ]
 
@@ -115,6 +116,10 @@ def track_pins(
     lattice: Lattice, detected: DetectedPins, prior: MotionPrior | None = None
 ) -> PinTrack:
     """Track the pins of one image, with the help of a prior if there is one."""
+    if lattice.intact is not None:
+        if prior is not None:
+            prior = prior._replace(motion=prior.motion[:, lattice.left])
+        return add_lost_pins(lattice, track_pins(lattice.intact, detected, prior))
     pins, count = len(lattice.rest), len(detected.pins)
     missing = np.full((pins, 2), np.nan)
     best = PinTrack(missing, np.full(pins, -1), float("inf"), pins, count, False)
@@ -122,7 +127,7 @@ def track_pins(
         return best
     tree, postponed = cKDTree(detected.pins), []
     for motion in _propose_motions(lattice, detected.pins, prior):
-        identity = _match_iteratively(lattice, detected.pins, motion)
+        identity = match_iteratively(lattice, detected.pins, motion)
         fault_count = rate_identities(lattice, detected.pins, identity).fault_count
         if fault_count > MAX_FAULT_SHARE * pins:
             postponed.append((fault_count, identity))
@@ -170,12 +175,8 @@ def fit_motion_prior(lattice: Lattice, tracks: list[PinTrack]) -> MotionPrior | 
         axes.append(np.linspace(low, high, int(np.clip(np.ceil(reach / STEP) + 1, 2, GRID))))
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     grid = mean + np.tensordot(points, modes, 1)
-    distance = np.linalg.norm(lattice.rest + np.array(motions) - _compute_centre(lattice), axis=-1)
+    distance = np.linalg.norm(lattice.rest + np.array(motions) - compute_middle(lattice), axis=-1)
     return MotionPrior(grid.astype(np.float32), float(np.nanmax(distance)) + 0.1 * lattice.spacing)
-
-
-def _compute_centre(lattice: Lattice) -> np.ndarray:
-    return (lattice.rest.max(axis=0) + lattice.rest.min(axis=0)) / 2
 
 
 def _propose_motions(
@@ -185,7 +186,7 @@ def _propose_motions(
 
     The best ones of the prior follow, or turned ones if there is no prior.
     """
-    likeliest = _fit_affine(lattice, detected)
+    likeliest = fit_affine(lattice, detected, max(len(lattice.rest) - len(detected), 0))
     yield likeliest - lattice.rest
     if prior is not None:
         yield from _search_prior(lattice, detected, prior)
@@ -210,109 +211,8 @@ def _search_prior(lattice: Lattice, detected: np.ndarray, prior: MotionPrior) ->
     distance = ndimage.distance_transform_edt(empty) / (2 * lattice.spacing)
     cost_map = np.minimum(distance, 0.5).astype(np.float32)
     position = lattice.rest.astype(np.float32) + prior.motion
-    in_view = np.linalg.norm(position - _compute_centre(lattice), axis=-1) < prior.view
+    in_view = np.linalg.norm(position - compute_middle(lattice), axis=-1) < prior.view
     cell = np.clip(np.round(2 * (position - low)).astype(int), 0, np.array(empty.shape)[::-1] - 1)
     pin_cost = (cost_map[cell[..., 1], cell[..., 0]] * in_view).sum(-1)
     cost = pin_cost + 0.5 * np.abs(in_view.sum(-1) - len(detected))
     return prior.motion[np.argsort(cost)[:TRIED_MOTIONS]].astype(float)
-
-
-def _fit_affine(lattice: Lattice, detected: np.ndarray) -> np.ndarray:
-    """Move the pins (P, 2) to the mean and covariance of the detected ones, without a turn.
-
-    Where a side of the pins has left the view, the outermost are left out of the comparison.
-    """
-    rest, middle, spread = lattice.rest, detected.mean(axis=0), np.cov(detected.T)
-    compared = np.arange(len(rest))
-    for _ in range(5):
-        subset = rest[compared]
-        root = _root(np.cov(subset.T))
-        inverse = np.linalg.inv(root)
-        stretch = inverse @ _root(root @ spread @ root) @ inverse
-        position = (rest - subset.mean(axis=0)) @ stretch + middle
-        distance = np.linalg.norm(position - _compute_centre(lattice), axis=-1)
-        inner = np.sort(np.argsort(distance)[: len(detected)])
-        if np.array_equal(inner, compared):
-            break
-        compared = inner
-    return position
-
-
-def _root(matrix: np.ndarray) -> np.ndarray:
-    """Return the square root of a symmetric matrix."""
-    values, vectors = np.linalg.eigh(matrix)
-    return (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
-
-
-def _match_iteratively(lattice: Lattice, detected: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Match pins to the rows (P,) of the detected ones, -1 for none, from a first motion (P, 2)."""
-    pairs = _pair_nearest(lattice.rest + motion, detected)
-    for degree in POLYNOMIAL_DEGREES:
-        for _ in range(REPEATS):
-            middle = _compute_middle(pairs.distance)
-            motion = _fit_polynomial(lattice, detected, pairs, degree)
-            pairs = _pair_nearest(lattice.rest + motion, detected)
-            if _compute_middle(pairs.distance) > CONVERGED_RATIO * middle:
-                break
-    return _follow_neighbours(lattice, detected, pairs, motion)
-
-
-class _Pairs(NamedTuple):
-    """Pairs of an expected and a detected pin that are each other's nearest."""
-
-    pin: np.ndarray  # (N,) rows of the expected pins
-    detected: np.ndarray  # (N,) rows of the detected pins
-    distance: np.ndarray  # (N,) px
-
-
-def _fit_polynomial(
-    lattice: Lattice, detected: np.ndarray, pairs: _Pairs, degree: int
-) -> np.ndarray:
-    """Fit a motion (P, 2) px, a polynomial of the rest position, to pairs; far ones count less."""
-    scale = max(2.5 * _compute_middle(pairs.distance), 0.06 * lattice.spacing)
-    share = 1 / (1 + (pairs.distance / scale) ** 2)
-    powers = lattice.powers[degree]
-    paired = powers[pairs.pin]
-    weighted = paired.T * share
-    normal = weighted @ paired + 1e-3 * np.eye(powers.shape[1])
-    motion = detected[pairs.detected] - lattice.rest[pairs.pin]
-    return powers @ np.linalg.solve(normal, weighted @ motion)
-
-
-def _follow_neighbours(
-    lattice: Lattice, detected: np.ndarray, pairs: _Pairs, motion: np.ndarray
-) -> np.ndarray:
-    """Match pins to detected ones (P,) while each pin follows the motion of its neighbours."""
-    identity = np.full(len(lattice.rest), -1)
-    for _ in range(NEIGHBOUR_REPEATS):
-        near = pairs.distance <= MAX_MATCH_DISTANCE * lattice.spacing
-        before, identity = identity, np.full(len(lattice.rest), -1)
-        identity[pairs.pin[near]] = pairs.detected[near]
-        if np.array_equal(before, identity):
-            break
-        matched = np.where(identity[:, None] >= 0, detected[identity] - lattice.rest, motion)
-        motion = lattice.neighbour_weights @ matched
-        pairs = _pair_nearest(lattice.rest + motion, detected)
-    return identity
-
-
-def _compute_middle(values: np.ndarray) -> float:
-    """Return the median, or the next above it.
-
-    `numpy.median` spends most of its time on checks, and this runs a dozen times an image.
-    """
-    return float(np.partition(values, len(values) // 2)[len(values) // 2])
-
-
-def _pair_nearest(expected: np.ndarray, detected: np.ndarray) -> _Pairs:
-    """Pair the expected and detected pins that are each other's nearest."""
-    # For some hundred pins all distances at once take less time than trees do.
-    middle = detected.mean(axis=0)
-    here, there = (expected - middle).astype(np.float32), (detected - middle).astype(np.float32)
-    squares = here @ (-2 * there.T)
-    squares += (here**2).sum(axis=1)[:, None]
-    squares += (there**2).sum(axis=1)
-    nearest = squares.argmin(axis=1)
-    rows = np.flatnonzero(squares.argmin(axis=0)[nearest] == np.arange(len(expected)))
-    columns = nearest[rows]
-    return _Pairs(rows, columns, np.hypot(*(expected[rows] - detected[columns]).T))

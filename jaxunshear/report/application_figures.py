@@ -274,16 +274,15 @@ def plot_pins(lattice: Lattice, images: Sequence[ShownImage]) -> bytes:
 
 
 def _plot_image(axes: Axes, lattice: Lattice, tracked: ShownImage) -> None:
-    track, pins = tracked.track, len(lattice.rest)
+    track, visible = tracked.track, tracked.track.visible
     text = "identities not sure: left out"
     if track.identified:
-        text = f"{pins - track.missed} of {pins} pins, doubt {track.max_offset:.2f}"
+        text = f"{visible.sum()} of {len(visible)} pins, doubt {track.max_offset:.2f}"
     axes.imshow(tracked.image, cmap="gray", vmin=0, vmax=400, interpolation="nearest")
     axes.set(xticks=[], yticks=[])
     axes.set_title(f"{tracked.name[-28:]}\n{text}", fontsize=8)
     if not track.identified:
         return
-    visible = track.visible
     colours = colormaps["Set1"](lattice.ring % 2)[visible]
     ends = np.stack([lattice.rest, lattice.rest + track.motion], 1)[visible]
     axes.add_collection(LineCollection(list(ends), colors=colours, linewidths=1))

@@ -1,0 +1,124 @@
+"""Match the pins of a lattice to detected ones, from a first motion.
+
+Pairs of mutually nearest pins refine polynomials of rising degree, and last each pin follows its
+neighbours.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.perception.lattice import POLYNOMIAL_DEGREES, Lattice
+
+MAX_MATCH_DISTANCE = 0.75  # of the spacing: beyond it a detected pin is another one
+# Fits of a polynomial, fewer if the distance of pairs falls by less than this ratio.
+REPEATS = 3
+CONVERGED_RATIO = 0.9
+NEIGHBOUR_REPEATS = 4
+
+
+def compute_middle(lattice: Lattice) -> np.ndarray:
+    """Compute the middle (2,) px of the box around all pins at rest."""
+    return (lattice.rest.max(axis=0) + lattice.rest.min(axis=0)) / 2
+
+
+def fit_affine(lattice: Lattice, detected: np.ndarray, hidden: int) -> np.ndarray:
+    """Move the pins (P, 2) to the mean and covariance of the detected ones, without a turn.
+
+    Where a side of the pins has left the view, the outermost, as many as are `hidden`, are left out
+    of the comparison.
+    """
+    rest, middle, spread = lattice.rest, detected.mean(axis=0), np.cov(detected.T)
+    compared = np.arange(len(rest))
+    for _ in range(5):
+        subset = rest[compared]
+        root = _root(np.cov(subset.T))
+        inverse = np.linalg.inv(root)
+        stretch = inverse @ _root(root @ spread @ root) @ inverse
+        position = (rest - subset.mean(axis=0)) @ stretch + middle
+        distance = np.linalg.norm(position - compute_middle(lattice), axis=-1)
+        inner = np.sort(np.argsort(distance)[: len(rest) - hidden])
+        if np.array_equal(inner, compared):
+            break
+        compared = inner
+    return position
+
+
+def _root(matrix: np.ndarray) -> np.ndarray:
+    """Return the square root of a symmetric matrix."""
+    values, vectors = np.linalg.eigh(matrix)
+    return (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
+
+
+def match_iteratively(lattice: Lattice, detected: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Match pins to the rows (P,) of the detected ones, -1 for none, from a first motion (P, 2)."""
+    pairs = _pair_nearest(lattice.rest + motion, detected)
+    for degree in POLYNOMIAL_DEGREES:
+        for _ in range(REPEATS):
+            middle = _compute_median(pairs.distance)
+            motion = _fit_polynomial(lattice, detected, pairs, degree)
+            pairs = _pair_nearest(lattice.rest + motion, detected)
+            if _compute_median(pairs.distance) > CONVERGED_RATIO * middle:
+                break
+    return _follow_neighbours(lattice, detected, pairs, motion)
+
+
+class _Pairs(NamedTuple):
+    """Pairs of an expected and a detected pin that are each other's nearest."""
+
+    pin: np.ndarray  # (N,) rows of the expected pins
+    detected: np.ndarray  # (N,) rows of the detected pins
+    distance: np.ndarray  # (N,) px
+
+
+def _fit_polynomial(
+    lattice: Lattice, detected: np.ndarray, pairs: _Pairs, degree: int
+) -> np.ndarray:
+    """Fit a motion (P, 2) px, a polynomial of the rest position, to pairs; far ones count less."""
+    scale = max(2.5 * _compute_median(pairs.distance), 0.06 * lattice.spacing)
+    share = 1 / (1 + (pairs.distance / scale) ** 2)
+    powers = lattice.powers[degree]
+    paired = powers[pairs.pin]
+    weighted = paired.T * share
+    normal = weighted @ paired + 1e-3 * np.eye(powers.shape[1])
+    motion = detected[pairs.detected] - lattice.rest[pairs.pin]
+    return powers @ np.linalg.solve(normal, weighted @ motion)
+
+
+def _follow_neighbours(
+    lattice: Lattice, detected: np.ndarray, pairs: _Pairs, motion: np.ndarray
+) -> np.ndarray:
+    """Match pins to detected ones (P,) while each pin follows the motion of its neighbours."""
+    identity = np.full(len(lattice.rest), -1)
+    for _ in range(NEIGHBOUR_REPEATS):
+        near = pairs.distance <= MAX_MATCH_DISTANCE * lattice.spacing
+        before, identity = identity, np.full(len(lattice.rest), -1)
+        identity[pairs.pin[near]] = pairs.detected[near]
+        if np.array_equal(before, identity):
+            break
+        matched = np.where(identity[:, None] >= 0, detected[identity] - lattice.rest, motion)
+        motion = lattice.neighbour_weights @ matched
+        pairs = _pair_nearest(lattice.rest + motion, detected)
+    return identity
+
+
+def _compute_median(values: np.ndarray) -> float:
+    """Return the median, or the next above it.
+
+    `numpy.median` spends most of its time on checks, and this runs a dozen times an image.
+    """
+    return float(np.partition(values, len(values) // 2)[len(values) // 2])
+
+
+def _pair_nearest(expected: np.ndarray, detected: np.ndarray) -> _Pairs:
+    """Pair the expected and detected pins that are each other's nearest."""
+    # For some hundred pins all distances at once take less time than trees do.
+    middle = detected.mean(axis=0)
+    here, there = (expected - middle).astype(np.float32), (detected - middle).astype(np.float32)
+    squares = here @ (-2 * there.T)
+    squares += (here**2).sum(axis=1)[:, None]
+    squares += (there**2).sum(axis=1)
+    nearest = squares.argmin(axis=1)
+    rows = np.flatnonzero(squares.argmin(axis=0)[nearest] == np.arange(len(expected)))
+    columns = nearest[rows]
+    return _Pairs(rows, columns, np.hypot(*(expected[rows] - detected[columns]).T))
