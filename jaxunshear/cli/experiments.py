@@ -20,7 +20,12 @@ from jaxunshear.config.fields import override_fields
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.network_config import list_trained_networks
 from jaxunshear.config.rules import validate
-from jaxunshear.config.serialization import apply_preset, find_model_folder, load_settings
+from jaxunshear.config.serialization import (
+    apply_preset,
+    check_unreleased,
+    find_model_folder,
+    load_settings,
+)
 from jaxunshear.config.sweep import (
     Sweep,
     check_sweep,
@@ -30,7 +35,7 @@ from jaxunshear.config.sweep import (
     parse_seeds,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.output_checks import check_outside
+from jaxunshear.output_checks import check_new_folder, check_outside
 
 NETWORKS = "networks"  # stands for those of the experiment
 STAGES = {
@@ -45,6 +50,7 @@ DEFAULT_RAY_CORES = 2  # for each row or chunk
 
 def handle_stages(arguments: argparse.Namespace, command: str) -> int:
     ray_options = _read_engine_options(arguments)
+    check_new_folder(arguments.data, "--data")
     if arguments.command == "fit":
         experiment = _write_fit_experiment(arguments)
     elif arguments.command == "evaluate" and (folder := find_model_folder(arguments.file)).is_dir():
@@ -57,7 +63,8 @@ def handle_stages(arguments: argparse.Namespace, command: str) -> int:
         experiment = _apply_recordings(read_base(arguments, arguments.fields), arguments)
         validate(experiment)
     networks = list_trained_networks(experiment)
-    if network := getattr(arguments, "network", None):
+    network = getattr(arguments, "network", None)
+    if network is not None:
         if network not in networks:
             raise UserError(
                 f"--network {network} is none of this experiment's: use {', '.join(networks)}"
@@ -141,6 +148,8 @@ def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
             f"{name}: the settings of a finished run stay as they are; "
             "name its experiment file to change them"
         )
+    if not arguments.recordings:
+        check_unreleased(arguments.file)
     experiment = load_settings(arguments.file)
     folder = arguments.file.resolve()
     arguments.out = folder.parent
@@ -173,7 +182,7 @@ def _read_sweep(arguments: argparse.Namespace, fields: Sequence[str]) -> Sweep:
 def sweep(arguments: argparse.Namespace, command: str) -> int:
     """Run a sweep and print its table. Return 0, or 1 if a row failed."""
     ray_options = _read_engine_options(arguments)
-
+    check_new_folder(arguments.data, "--data")
     sweep = _read_sweep(arguments, arguments.fields)
     sweep = replace(sweep, base=_apply_recordings(sweep.base, arguments))
     if arguments.seeds is not None:

@@ -66,7 +66,13 @@ def option(name: str, metavar: str, text: str, **settings: Any) -> Option:
 
 
 def path(name: str, metavar: str, text: str, **settings: Any) -> Option:
-    return option(name, metavar, text, type=Path, **settings)
+    return option(name, metavar, text, type=_parse_path, **settings)
+
+
+def _parse_path(text: str) -> Path:
+    if not text:  # to Python the working folder; to a shell a variable that is not set
+        raise argparse.ArgumentTypeError("names nothing")
+    return Path(os.path.expanduser(text))  # shells leave `--out=~/a` as it is
 
 
 def integer(name: str, text: str, default: int | None = None) -> Option:
