@@ -327,7 +327,8 @@ def load_model(
     not of the model's sensor. Raises UserError.
     """
     keep_freed_memory()
-    folder = find_model_folder(Path(name))
+    # networks are read when they are first used, perhaps from another working folder
+    folder = find_model_folder(Path(name)).absolute()
     model = TrainedModel(folder, load_settings(folder), force=force)
     if model.source.has_frame:
         model.frame = parse_frame(read_object(folder / FRAME))
