@@ -54,6 +54,8 @@ def handle_stages(arguments: argparse.Namespace, command: str) -> int:
     if arguments.command == "fit":
         experiment = _write_fit_experiment(arguments)
     elif arguments.command == "evaluate" and (folder := find_model_folder(arguments.file)).is_dir():
+        if not arguments.recordings:
+            check_unreleased(arguments.file)
         arguments.file = folder
         experiment = _load_finished_experiment(arguments)
         if arguments.recordings:
@@ -148,8 +150,6 @@ def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
             f"{name}: the settings of a finished run stay as they are; "
             "name its experiment file to change them"
         )
-    if not arguments.recordings:
-        check_unreleased(arguments.file)
     experiment = load_settings(arguments.file)
     folder = arguments.file.resolve()
     arguments.out = folder.parent

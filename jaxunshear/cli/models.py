@@ -168,7 +168,7 @@ def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> ob
         ServoTask(stimulus, arguments.starts, arguments.depth, seed=arguments.seed)
         for stimulus in parse_stimuli(arguments.stimulus)
     ]
-    ways = tuple(arguments.ways.split(",")) if arguments.ways else None
+    ways = None if arguments.ways is None else tuple(arguments.ways.split(","))
     rows: list[TrajectoryScore] = []
     for result in servo(model, tasks, ways, out):
         name = str(result.task.stimulus)

@@ -327,9 +327,9 @@ def load_model(
     not of the model's sensor. Raises UserError.
     """
     keep_freed_memory()
+    folder = find_model_folder(Path(name))
     # networks are read when they are first used, perhaps from another working folder
-    folder = find_model_folder(Path(name)).absolute()
-    model = TrainedModel(folder, load_settings(folder), force=force)
+    model = TrainedModel(folder.absolute(), load_settings(folder), force=force)
     if model.source.has_frame:
         model.frame = parse_frame(read_object(folder / FRAME))
     elif model.reads_pins and like is not None:

@@ -12,7 +12,6 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -23,20 +22,22 @@ from PIL import Image
 from jaxunshear import environment
 from jaxunshear.__main__ import run
 from jaxunshear.cluster import Call, WorkerDied, make_ray_runner
-from jaxunshear.code_version import read_source
 from jaxunshear.config.serialization import RELEASED
 from jaxunshear.data import recorded_frames
 from jaxunshear.environment import count_cores, prepare_process
 from jaxunshear.errors import Note, UserError
-from jaxunshear.files import write_text
+from jaxunshear.files import read_object, write_text
 from jaxunshear.inference.trained_model import load_model
 from jaxunshear.progress import Progress
 from jaxunshear.sweep import tasks
 from tests.conftest import Answer
 from tests.helpers.dots import draw_dots, make_lattice
+from tests.helpers.ray_stand_in import make_ray
 from tests.inputs.cases import Case, run_each
 
 DEMO = Path(__file__).resolve().parents[2] / "experiments" / "demo.py"
+CUDA, MINUS_ONE, X64 = "JAX_PLATFORMS=cuda", "JAXUNSHEAR_DEVICES=-1", "JAX_ENABLE_X64=1"
+DOCTOR = ("doctor", ".", "--json", "a.json")
 ODD = "räc ξ"  # a name with a space and letters that ASCII has not
 
 
@@ -77,17 +78,14 @@ def around(monkeypatch, tmp_path, command, capsys):
         signal.signal(number, handler)
 
 
-class FailingStream(io.RawIOBase):
-    """A stream that takes nothing."""
+def make_failing(number: int) -> io.TextIOWrapper:
+    """Make a stream that refuses what is written with an error of the system."""
 
-    def __init__(self, number: int) -> None:
-        self.number = number
+    class Failing(io.BytesIO):
+        def write(self, _: Any) -> int:
+            raise OSError(number, os.strerror(number))
 
-    def writable(self) -> bool:
-        return True
-
-    def write(self, _: Any) -> int:
-        raise OSError(self.number, os.strerror(self.number))
+    return io.TextIOWrapper(Failing())
 
 
 def check_ascii(around):
@@ -108,10 +106,6 @@ def check_closed_streams(around):
     assert around.start("run", str(DEMO)) == 0
     sys.stdout.close()
     sys.stderr.close()
-
-
-def make_failing(number: int) -> io.TextIOWrapper:
-    return io.TextIOWrapper(io.BufferedWriter(FailingStream(number)))
 
 
 def check_full_stdout(around):
@@ -177,11 +171,10 @@ def check_one_core(around):
     assert count_cores() == 1
 
 
-def check_variable(said: str, **variables: str) -> Callable[[Surroundings], None]:
+def check_variable(said: str, setting: str) -> Callable[[Surroundings], None]:
     def check(around):
         around.monkeypatch.setattr(environment, "NVIDIA_DEVICES", ())
-        for name, value in variables.items():
-            around.monkeypatch.setenv(name, value)
+        around.monkeypatch.setenv(*setting.split("="))
         answer = around.command("run", DEMO)
         assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
         assert said in answer.err
@@ -255,9 +248,7 @@ def check_odd_folder(around):
     answer = around.command("doctor", ODD, "--json", f"{ODD}.json")
     assert answer.code in (0, 1) and answer.err.count("Traceback") == 0
     assert f"{ODD}: 2 frames" in answer.out
-    assert f"'{ODD}.json'" in (around.folder / f"{ODD}.json").read_text().encode().decode(
-        "unicode_escape"
-    )
+    assert f"'{ODD}.json'" in read_object(Path(f"{ODD}.json"))["command"]
 
 
 def check_bytes_in_name(around):
@@ -282,18 +273,6 @@ def check_moved(around):
     assert model.load_network("posenet").targets
 
 
-def check_time_zone(around):
-    read_source.cache_clear()
-    around.monkeypatch.setenv("TZ", "UTC-14")
-    time.tzset()
-    try:
-        assert read_source().date == time.strftime("%Y-%m-%d", time.gmtime())
-    finally:
-        around.monkeypatch.delenv("TZ")
-        time.tzset()
-        read_source.cache_clear()
-
-
 def check_clock_step(around):
     around.monkeypatch.setattr(time, "time", lambda: -1e9)
     stream = io.StringIO()
@@ -303,42 +282,10 @@ def check_clock_step(around):
 
 
 def check_kernel(around):
-    """Streams of a notebook's kernel are no text of a file; they stay as they are."""
     stream = io.StringIO()
     around.monkeypatch.setattr(sys, "stdout", stream)
     prepare_process()
     assert sys.stdout is stream
-
-
-class RayError(Exception):
-    cause: Exception | None = None
-
-
-def make_ray(died: bool) -> Any:
-    """Make a stand-in for Ray with one node, which does each call as it is asked for."""
-    ray: Any = ModuleType("ray")
-    ray.__spec__ = ModuleSpec("ray", None)
-    ray.exceptions = ModuleType("exceptions")
-    ray.exceptions.RayError = RayError
-    ray.exceptions.RayTaskError = type("RayTaskError", (RayError,), {})
-    ray.cloudpickle = __import__("pickle")
-    ray.init = ray.shutdown = lambda **_: None
-    ray.nodes = lambda: [{"Alive": True, "Resources": {"CPU": 2.0}}]
-    ray.wait = lambda running, num_returns: (running[:1], running[1:])
-
-    def make_remote(function):
-        remote = ModuleType("remote")
-        remote.remote = lambda *given: [function, given]  # type: ignore[attr-defined]
-        return remote
-
-    def get(reference):
-        if died:
-            raise RayError
-        function, given = reference
-        return function(*given)
-
-    ray.remote, ray.get = lambda **_: make_remote, get
-    return ray
 
 
 def check_ray(died: bool) -> Callable[[Surroundings], None]:
@@ -356,7 +303,7 @@ def check_ray(died: bool) -> Callable[[Surroundings], None]:
 
 def check_ray_address(around):
     around.monkeypatch.setitem(sys.modules, "ray", make_ray(died=False))
-    with pytest.raises(UserError, match="--ray-address 127.0.0.1:1: no cluster answers there"):
+    with pytest.raises(UserError, match=r"--ray-address .*:1: no cluster answers there"):
         make_ray_runner("127.0.0.1:1", 2)
 
 
@@ -372,36 +319,22 @@ CASES = [
     Case("random.py in the working folder", "sweep worker", "is not read", check_sweep_worker),
     Case("no shared memory", "fit", "frames are read in one process", check_no_shared_memory),
     Case("one core of many", "count_cores", "one", check_one_core),
-    Case(
-        *("JAX_PLATFORMS=cuda without a GPU", "run", "one line before any work, exit 2"),
-        check_variable("shows no NVIDIA GPU", JAX_PLATFORMS="cuda"),
-    ),
-    Case(
-        *("-1 devices", "run", "one line before any work, exit 2"),
-        check_variable("use a number of devices", JAXUNSHEAR_DEVICES="-1"),
-    ),
-    Case(
-        *("JAX_ENABLE_X64", "run", "one line before any work, exit 2"),
-        check_variable("would give other results", JAX_ENABLE_X64="1"),
-    ),
+    Case("JAX_PLATFORMS=cuda, no GPU", "run", "one line", check_variable("no NVIDIA GPU", CUDA)),
+    Case("-1 devices", "run", "one line", check_variable("use a number of devices", MINUS_ONE)),
+    Case("JAX_ENABLE_X64", "run", "one line", check_variable("would give other results", X64)),
     Case("PYTHONWARNINGS=error", "run", "a note stays a note", check_notes("error")),
     Case("PYTHONWARNINGS=ignore", "run", "a note is shown", check_notes("ignore")),
     Case("TERM=dumb", "progress", "plain lines", check_terminal(False, TERM="dumb")),
     Case(
-        *("a terminal of 10 columns", "progress", "one line, cut"),
-        check_terminal(True, TERM="xterm", COLUMNS="10"),
+        "10 columns", "progress", "one line, cut", check_terminal(True, TERM="xterm", COLUMNS="10")
     ),
     Case("neither HOME nor a user's name", "run", "one line, exit 2", check_nobody),
     Case("a working folder without rights", "run", "one line", check_no_rights("run", DEMO)),
     Case("a folder without rights", "pins --out", "one line", check_no_rights("pins", ".")),
-    Case(
-        *("a folder without rights", "doctor --json", "one line"),
-        check_no_rights("doctor", ".", "--json", "a.json"),
-    ),
+    Case("a folder without rights", "doctor --json", "one line", check_no_rights(*DOCTOR)),
     Case("spaces and letters outside ASCII", "doctor", "taken as they are", check_odd_folder),
     Case("a name that is no UTF-8", "doctor", "escaped", check_bytes_in_name),
     Case("another working folder since", "load_model", "networks are found", check_moved),
-    Case("a zone 14 h ahead", "read_source", "the date is of UTC", check_time_zone),
     Case("the clock steps back", "progress", "times are unchanged", check_clock_step),
     Case("streams of a notebook", "prepare_process", "stay as they are", check_kernel),
     Case("Ray with one node", "make_ray_runner", "every outcome", check_ray(died=False)),
