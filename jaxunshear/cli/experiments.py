@@ -221,20 +221,29 @@ def _read_engine_options(arguments: argparse.Namespace) -> tuple[str | None, int
 
 def _list_engine_options(piece: str) -> tuple[Option, ...]:
     """List the options of who runs the pieces of a command."""
-    text = f"one {piece} after the other, or all over a Ray cluster (serial)"
+    text = f"run one {piece} after the other, or all over a Ray cluster (default: serial)"
     return (
         ("--engine", {"choices": ("serial", "ray"), "default": "serial", "help": text}),
-        option("--ray-address", "ADDRESS", "of a Ray cluster (default: one on this machine)"),
-        integer("--ray-cores", f"cores that a {piece} takes of the cluster ({DEFAULT_RAY_CORES})"),
+        option(
+            "--ray-address", "ADDRESS", "address of a Ray cluster (default: one on this machine)"
+        ),
+        integer(
+            "--ray-cores", f"cores of the cluster for each {piece} (default: {DEFAULT_RAY_CORES})"
+        ),
     )
 
 
-OUT = path("--out", "DIR", "results: DIR/<name> (runs)", default=Path("runs"))
+OUT = path(
+    "--out",
+    "DIR",
+    "folder of the results, which go to DIR/<name> (default: runs)",
+    default=Path("runs"),
+)
 SUBJECT = (  # the recordings and the sensor that an experiment in a file is about
     path(
         "--recordings",
         "DIR",
-        "taps and slides that an experiment such as experiments/recorded.py is about",
+        "folder of recordings, for an experiment such as experiments/recorded.py",
     ),
     path(
         "--sensor-from",
@@ -253,9 +262,17 @@ OPTIONS: dict[str, tuple[str, tuple[Option, ...]]] = {
     "data": ("make the data sets: simulate contacts, or read recordings", (*BASE, *SIMULATION)),
     "train": (
         "train the networks",
-        (*BASE, option("--network", "NAME", "only this one of the experiment's (default: all)")),
+        (
+            *BASE,
+            option(
+                "--network", "NAME", "train this network of the experiment alone (default: all)"
+            ),
+        ),
     ),
-    "evaluate": ("measure the networks on held-out poses", (*BASE, json_file())),
+    "evaluate": (
+        "measure the networks on held-out poses, or those of a finished run on recordings",
+        (path("file", "FILE", "an experiment, or the folder of a run"), *BASE[1:], json_file()),
+    ),
     "fit": (
         "fit networks to your own recordings: writes an experiment about them, and runs it",
         (
@@ -269,12 +286,21 @@ OPTIONS: dict[str, tuple[str, tuple[Option, ...]]] = {
         "run an experiment over grids of settings and seeds; "
         "continues where a stopped sweep left off",
         (
-            path("file", "FILE", "such as experiments/ablations/lambda_split.py, or an experiment"),
-            path("--out", "DIR", "DIR/<name> (runs/sweeps)", default=Path("runs/sweeps")),
+            path(
+                "file",
+                "FILE",
+                "a sweep, such as experiments/ablations/lambda_split.py, or an experiment",
+            ),
+            path(
+                "--out",
+                "DIR",
+                "folder of the results, which go to DIR/<name> (default: runs/sweeps)",
+                default=Path("runs/sweeps"),
+            ),
             *(DATA, *SUBJECT),
-            option("--seeds", "N,N,...", "instead of those in FILE"),
+            option("--seeds", "N,N,...", "seeds of the trainings, instead of those in FILE"),
             *_list_engine_options("row"),
-            flag("--retry-failed", "also try rows again that failed"),
+            flag("--retry-failed", "try failed rows again"),
             json_file("sweep.json here, too"),
         ),
     ),

@@ -87,7 +87,9 @@ def json_file(content: str = "what was measured, with machine and versions") -> 
     return path("--json", "FILE", f"write {content}")
 
 
-DATA = path("--data", "DIR", "data sets (datasets)", default=Path("datasets"))
+DATA = path(
+    "--data", "DIR", "folder of the data sets (default: datasets)", default=Path("datasets")
+)
 
 
 class Parser(argparse.ArgumentParser):
