@@ -34,9 +34,8 @@ class Ranges:
     """Ranges from which poses and slides are drawn uniformly (paper section 3.2)."""
 
     lateral_mm: NotNegative = 5.0  # x and y within +- this
-    yaw_deg: Annotated[float, between(0, 180)] = (
-        45.0  # yaw within +- this; the paper has "[-45, -45]"
-    )
+    # yaw within +- this; the paper has "[-45, -45]"
+    yaw_deg: Annotated[float, between(0, 180)] = 45.0
     depth_min_mm: Positive = 1.0  # smallest indentation depth
     depth_max_mm: float = 6.0  # largest indentation depth
     move_mm: NotNegative = 2.5  # slide offset within +- this, along x or y or both, by chance

@@ -21,7 +21,7 @@ from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.results.applications import TrajectoryScore
 from jaxunshear.simulator.stimuli import get_closed_stimulus
 
-MAX_STARTS = 10_000  # whose walks fit in memory
+MAX_STARTS = 10_000  # more may not fit into memory
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ def desk(monkeypatch, tmp_path, command):
     Path("frames").mkdir()
     Path("frames", "a.png").write_bytes(b"no image")
     Image.fromarray(np.zeros((64, 64), np.uint8)).save("image.png")
+    Path("README.md").write_text("of something else")
     Path("started").mkdir()
     shutil.copy(RELEASED / "skin" / "experiment.json", "started")
     runs: list[Any] = []
@@ -136,6 +137,7 @@ REFUSED = [
     ("released weights", "report skin", "released weights hold no contacts and no scores"),
     ("released weights", "evaluate skin", "`jaxunshear evaluate skin --recordings DIR`"),
     ("released weights", "ablate skin", "released weights hold no contacts and no scores"),
+    ("a folder with a README.md", "evaluate .", "holds no experiment.json"),
     ("a run that was stopped", "report started", "is not finished: run its command again"),
 ]
 CASES = [
