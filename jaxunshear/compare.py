@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxunshear.config.configs import list_differences
+from jaxunshear.config.serialization import check_finished
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import read_object_if_sound, write_text
@@ -123,10 +124,7 @@ def _make_distinct_names(folders: Sequence[Path]) -> list[str]:
 
 
 def _read_run(name: str, folder: Path) -> Run:
-    if not (folder / "results.json").is_file():
-        if (folder / "experiment.json").is_file():
-            raise UserError(f"{folder} is not finished: run its command again, which goes on")
-        raise UserError(f"{folder} holds no results.json: name a finished run, such as runs/demo")
+    check_finished(folder)
     results = read_record(folder / "results.json", Results, EVALUATE_REMEDY)
     outcome = Outcome(status="done", reason=None, results=results)
     seconds, data = {}, None

@@ -1,11 +1,14 @@
-"""Checks variables of the environment, and keeps freed memory. Imports JAX only where needed.
+"""Checks what surrounds a process, prepares it, keeps freed memory. Imports JAX only where needed.
 
 Variables may decide on which device work runs and where files are kept, not what comes out.
 """
 
 import ctypes
+import io
 import os
+import signal
 import sys
+from types import FrameType
 
 from jaxunshear.errors import UserError
 from jaxunshear.files import cache_folder
@@ -16,11 +19,35 @@ RESPECTED_VARIABLES = (
     *("JAX_ENABLE_COMPILATION_CACHE", "JAX_LOG", "JAX_DEBUG_LOG_", "JAX_TRACEBACK_", "JAX_DUMP_"),
 )
 COMMON_PLATFORMS = {"", "cpu", "gpu", "cuda", "rocm", "tpu"}
+NVIDIA_DEVICES = ("/dev/nvidia0", "/dev/nvidiactl", "/dev/dxg")  # where JAX finds a GPU
 ROUNDING = ("fast_math", "fast_min_max", "precision")  # in names of XLA's flags
 KERNELS_VARIABLE = "JAXUNSHEAR_KERNELS"  # which layers networks have, see `models/layer_choice.py`
 KERNEL_CHOICES = AUTO, PLAIN, FAST = ("auto", "plain", "fast")
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # malloc.h
 DEVICE_COUNT = "JAXUNSHEAR_DEVICES"  # devices of a training, see `training/devices.py`
+
+
+def prepare_process() -> None:
+    """Make a program's streams writable, SIGTERM and SIGHUP a stop, and its children find ours.
+
+    Without standard streams the next open files would take their numbers, and messages of C++ go
+    there. A `random.py` in the working folder is none of Python's.
+    """
+    os.environ.setdefault("PYTHONSAFEPATH", "1")
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        stream = getattr(sys, name)
+        if stream is None:  # closed by who started this process
+            mode = os.O_WRONLY if number else os.O_RDONLY
+            setattr(sys, name, os.fdopen(os.open(os.devnull, mode), "w" if number else "r"))
+        elif number and isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names in letters that it has not
+    for stop in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(stop) is signal.SIG_DFL:  # else of `nohup`
+            signal.signal(stop, _stop)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt(number)
 
 
 def check_variables() -> None:
@@ -49,7 +76,10 @@ def check_environment() -> None:
     cache_folder()
     read_kernels_choice()
     read_device_count()
-    if not set(os.environ.get("JAX_PLATFORMS", "cpu").split(",")) <= COMMON_PLATFORMS:
+    platforms = set(os.environ.get("JAX_PLATFORMS", "cpu").split(","))
+    if platforms == {"cuda"} and not any(map(os.path.exists, NVIDIA_DEVICES)):
+        raise UserError("JAX_PLATFORMS=cuda: this machine shows no NVIDIA GPU: unset it")
+    if not platforms <= COMMON_PLATFORMS:
         import jax  # not for a common one: this process would hold the memory of a GPU
 
         jax.devices()  # RuntimeError, which names the variable, if there are none of these

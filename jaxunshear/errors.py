@@ -3,9 +3,17 @@
 The command line prints either as one line; an error ends the command with exit code 2.
 """
 
+import re
+
+# what a library calls an object of its own: says nothing, and another thing in each process
+_ADDRESS = re.compile(r" <_io\.\w+ object at \w+>| at 0x[0-9a-f]+")
+
 
 class UserError(Exception):
     """An error that says in one line what went wrong, where (file or field), and the remedy."""
+
+    def __str__(self) -> str:
+        return _ADDRESS.sub("", super().__str__())
 
 
 class Note(UserWarning):

@@ -204,7 +204,7 @@ def write_npz(path: Path, arrays: "Mapping[str, np.ndarray]", compressed: bool =
 
 def write_text(path: Path, text: str) -> None:
     """Replace `path` by UTF-8 `text` in one step."""
-    write_bytes(path, text.encode())
+    write_bytes(path, text.encode(errors="backslashreplace"))  # names that are no UTF-8
 
 
 def write_json(path: Path, obj: object) -> None:

@@ -18,7 +18,7 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
         return
     if path.is_dir():
         raise UserError(f"{option} {path} is a folder: name a file")
-    _check_above(path, option)
+    _check_place(path.parent, path, option)
     if path.is_file() and path.stat().st_size and not _is_measurement(path):
         raise UserError(
             f"{option} {path} holds something else, which would be lost: name another file"
@@ -42,14 +42,18 @@ def check_new_folder(path: Path | None, option: str = "--out") -> None:
         return
     if path.exists() and not path.is_dir():
         raise UserError(f"{option} {path} is a file: name a folder")
-    _check_above(path, option)
+    _check_place(path, path, option)
 
 
-def _check_above(path: Path, option: str) -> None:
-    """Refuse a place in a file, or in a link that leads to no folder."""
-    nearest = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
+def _check_place(folder: Path, path: Path, option: str) -> None:
+    """Refuse a folder, there or to be made, in a file, a link to nothing or where rights lack."""
+    folder = folder.absolute()
+    nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
     if not nearest.is_dir():
         raise UserError(f"{option} {path}: {nearest} is a file: name another folder")
+    is_stream = path.exists() and not (path.is_file() or path.is_dir())  # written into as it is
+    if not is_stream and not os.access(nearest, os.W_OK | os.X_OK):
+        raise UserError(f"{option} {path}: {nearest} may not be written: name another folder")
 
 
 def check_not_among(recordings: Path, out: Path, option: str) -> None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from jaxunshear.config.networks import REGISTRY
+from jaxunshear.config.serialization import CARD, check_finished
 from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.config.targets import to_json
 from jaxunshear.errors import UserError
@@ -22,7 +23,6 @@ RELEASED_PARTS = {
     name: kind.released_parts for name, kind in REGISTRY.items() if kind.released_parts is not None
 }
 ORIGIN_FIELDS = ("origin", "data", "start")  # of the training data, kept with the weights
-CARD = "README.md"
 
 
 def release(run_dir: Path, out: Path) -> Path:
@@ -34,11 +34,7 @@ def release(run_dir: Path, out: Path) -> Path:
     from jaxunshear.training.checkpoint import MODEL, write_weights
     from jaxunshear.training.examples import FRAME
 
-    for name in ("experiment.json", "results.json"):
-        if not (run_dir / name).is_file():
-            raise UserError(
-                f"{run_dir} holds no {name}: name the folder of a finished run, such as runs/demo"
-            )
+    check_finished(run_dir)
     if out.exists():
         raise UserError(f"--out {out} exists: name a new folder")
     settings = read_object(run_dir / "experiment.json")

@@ -85,7 +85,7 @@ def bad_commands(tmp_path: Path) -> list[tuple[list, str]]:
     out = ("--out", tmp_path / "out")
     return [
         ([], "required: COMMAND"),
-        (["dance"], "invalid choice"),
+        (["dance"], "there is no command 'dance'; see"),
         (["run"], "required: FILE"),
         (["run", tmp_path / "none.py"], "does not exist"),
         (["run", tmp_path], "is a folder"),

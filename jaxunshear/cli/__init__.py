@@ -3,9 +3,10 @@
 Every command imports what it needs when it needs it, so help is quick.
 """
 
+import difflib
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from textwrap import wrap
 
 from jaxunshear import __version__
@@ -16,6 +17,7 @@ from jaxunshear.code_version import read_source
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import list_field_types, parse_overrides, split_overrides
 from jaxunshear.environment import check_environment
+from jaxunshear.errors import UserError
 from jaxunshear.output_checks import check_new_folder, check_outside
 
 COMMANDS: dict[str, Command] = {
@@ -30,6 +32,16 @@ GROUPS = {  # of `jaxunshear --help`
         *("pins", "stream", "geometry", "servo", "reconstruct", "explore", "sensors", "stimuli"),
     ),
     "study": ("sweep", "compare", "ablate", "validate", "calibrate"),
+}
+USUAL_COMMANDS = {  # what other tools, or earlier versions, call a command: what to type instead
+    **dict.fromkeys(("eval", "test", "score"), "evaluate"),
+    **dict.fromkeys(("predict", "infer", "inference"), "pose` or `unshear"),
+    **dict.fromkeys(("simulate", "generate", "dataset"), "data"),
+    **dict.fromkeys(("check", "verify"), "python -m verification verify"),
+    "stability": "python -m verification stability",
+    **dict.fromkeys(("bench", "benchmark"), "python -m benchmarks"),
+    **dict.fromkeys(("logs", "tensorboard"), "tensorboard --logdir runs"),
+    **dict.fromkeys(("help", "version"), "jaxunshear --help` or `jaxunshear --version"),
 }
 FIELDS_HELP = """
 fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, \
@@ -118,6 +130,28 @@ def read_base(argv: Sequence[str]) -> Experiment:
     return experiments.read_base(make_parser().parse_args(words), fields)
 
 
+def _suggest(name: str, names: Iterable[str]) -> str:
+    near = [USUAL_COMMANDS[name]] if name in USUAL_COMMANDS else []
+    near = near or difflib.get_close_matches(name, list(names), n=1)
+    return f": did you mean `{near[0]}`?" if near else ""
+
+
+def _check_names(words: Sequence[str]) -> None:
+    """Refuse a command, or an option of it, that there is not; name one that is near."""
+    command = _find_command(words)
+    if command is None:
+        if words and not words[0].startswith("-"):
+            hint = _suggest(words[0], COMMANDS) or "; see `jaxunshear --help`"
+            raise UserError(f"there is no command '{words[0]}'{hint}")
+        return
+    options = ["--", "--help", *(name for name, _ in command.list_options() if name[0] == "-")]
+    for word in words:
+        name = word.partition("=")[0]
+        if name.startswith("--") and name not in options:
+            hint = _suggest(name, options) or f"; see `jaxunshear {command.name} --help`"
+            raise UserError(f"`{command.name}` takes no {name}{hint}")
+
+
 def _run(argv: list[str]) -> int:
     fields: list[str] = []
     words, command = argv, _find_command(argv)
@@ -129,6 +163,7 @@ def _run(argv: list[str]) -> int:
             experiment = read_base(other_words) if len(words) > 1 else None
             print(format_field_help(group, experiment))
             return 0
+    _check_names(words)
     arguments = parse(make_parser(), words)
     if arguments is None:
         return 0

@@ -129,6 +129,7 @@ def _open_lines(path: Path | None) -> Iterator[TextIO]:
 def export(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.apps.export.export import export_model
 
+    check_new_folder(arguments.file.parent)
     batch = None
     if arguments.batch != "any":
         try:

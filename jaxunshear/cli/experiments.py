@@ -20,7 +20,12 @@ from jaxunshear.config.fields import override_fields
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.network_config import list_trained_networks
 from jaxunshear.config.rules import validate
-from jaxunshear.config.serialization import apply_preset, find_model_folder, load_settings
+from jaxunshear.config.serialization import (
+    apply_preset,
+    check_unreleased,
+    find_model_folder,
+    load_settings,
+)
 from jaxunshear.config.sweep import (
     Sweep,
     check_sweep,
@@ -30,7 +35,7 @@ from jaxunshear.config.sweep import (
     parse_seeds,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.output_checks import check_outside
+from jaxunshear.output_checks import check_new_folder, check_outside
 
 NETWORKS = "networks"  # stands for those of the experiment
 STAGES = {
@@ -45,9 +50,12 @@ DEFAULT_RAY_CORES = 2  # for each row or chunk
 
 def handle_stages(arguments: argparse.Namespace, command: str) -> int:
     ray_options = _read_engine_options(arguments)
+    check_new_folder(arguments.data, "--data")
     if arguments.command == "fit":
         experiment = _write_fit_experiment(arguments)
     elif arguments.command == "evaluate" and (folder := find_model_folder(arguments.file)).is_dir():
+        if not arguments.recordings:
+            check_unreleased(arguments.file)
         arguments.file = folder
         experiment = _load_finished_experiment(arguments)
         if arguments.recordings:
@@ -57,7 +65,8 @@ def handle_stages(arguments: argparse.Namespace, command: str) -> int:
         experiment = _apply_recordings(read_base(arguments, arguments.fields), arguments)
         validate(experiment)
     networks = list_trained_networks(experiment)
-    if network := getattr(arguments, "network", None):
+    network = getattr(arguments, "network", None)
+    if network is not None:
         if network not in networks:
             raise UserError(
                 f"--network {network} is none of this experiment's: use {', '.join(networks)}"
@@ -173,7 +182,7 @@ def _read_sweep(arguments: argparse.Namespace, fields: Sequence[str]) -> Sweep:
 def sweep(arguments: argparse.Namespace, command: str) -> int:
     """Run a sweep and print its table. Return 0, or 1 if a row failed."""
     ray_options = _read_engine_options(arguments)
-
+    check_new_folder(arguments.data, "--data")
     sweep = _read_sweep(arguments, arguments.fields)
     sweep = replace(sweep, base=_apply_recordings(sweep.base, arguments))
     if arguments.seeds is not None:
@@ -211,20 +220,29 @@ def _read_engine_options(arguments: argparse.Namespace) -> tuple[str | None, int
 
 def _list_engine_options(piece: str) -> tuple[Option, ...]:
     """List the options of who runs the pieces of a command."""
-    text = f"one {piece} after the other, or all over a Ray cluster (serial)"
+    text = f"run one {piece} after the other, or all over a Ray cluster (default: serial)"
     return (
         ("--engine", {"choices": ("serial", "ray"), "default": "serial", "help": text}),
-        option("--ray-address", "ADDRESS", "of a Ray cluster (default: one on this machine)"),
-        integer("--ray-cores", f"cores that a {piece} takes of the cluster ({DEFAULT_RAY_CORES})"),
+        option(
+            "--ray-address", "ADDRESS", "address of a Ray cluster (default: one on this machine)"
+        ),
+        integer(
+            "--ray-cores", f"cores of the cluster for each {piece} (default: {DEFAULT_RAY_CORES})"
+        ),
     )
 
 
-OUT = path("--out", "DIR", "results: DIR/<name> (runs)", default=Path("runs"))
+OUT = path(
+    "--out",
+    "DIR",
+    "folder of the results, which go to DIR/<name> (default: runs)",
+    default=Path("runs"),
+)
 SUBJECT = (  # the recordings and the sensor that an experiment in a file is about
     path(
         "--recordings",
         "DIR",
-        "taps and slides that an experiment such as experiments/recorded.py is about",
+        "folder of recordings, for an experiment such as experiments/recorded.py",
     ),
     path(
         "--sensor-from",
@@ -243,9 +261,17 @@ OPTIONS: dict[str, tuple[str, tuple[Option, ...]]] = {
     "data": ("make the data sets: simulate contacts, or read recordings", (*BASE, *SIMULATION)),
     "train": (
         "train the networks",
-        (*BASE, option("--network", "NAME", "only this one of the experiment's (default: all)")),
+        (
+            *BASE,
+            option(
+                "--network", "NAME", "train this network of the experiment alone (default: all)"
+            ),
+        ),
     ),
-    "evaluate": ("measure the networks on held-out poses", (*BASE, json_file())),
+    "evaluate": (
+        "measure the networks on held-out poses, or those of a finished run on recordings",
+        (path("file", "FILE", "an experiment, or the folder of a run"), *BASE[1:], json_file()),
+    ),
     "fit": (
         "fit networks to your own recordings: writes an experiment about them, and runs it",
         (
@@ -259,12 +285,21 @@ OPTIONS: dict[str, tuple[str, tuple[Option, ...]]] = {
         "run an experiment over grids of settings and seeds; "
         "continues where a stopped sweep left off",
         (
-            path("file", "FILE", "such as experiments/ablations/lambda_split.py, or an experiment"),
-            path("--out", "DIR", "DIR/<name> (runs/sweeps)", default=Path("runs/sweeps")),
+            path(
+                "file",
+                "FILE",
+                "a sweep, such as experiments/ablations/lambda_split.py, or an experiment",
+            ),
+            path(
+                "--out",
+                "DIR",
+                "folder of the results, which go to DIR/<name> (default: runs/sweeps)",
+                default=Path("runs/sweeps"),
+            ),
             *(DATA, *SUBJECT),
-            option("--seeds", "N,N,...", "instead of those in FILE"),
+            option("--seeds", "N,N,...", "seeds of the trainings, instead of those in FILE"),
             *_list_engine_options("row"),
-            flag("--retry-failed", "also try rows again that failed"),
+            flag("--retry-failed", "try failed rows again"),
             json_file("sweep.json here, too"),
         ),
     ),

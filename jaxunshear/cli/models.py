@@ -164,7 +164,7 @@ def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> ob
         ServoTask(stimulus, arguments.starts, arguments.depth, seed=arguments.seed)
         for stimulus in parse_stimuli(arguments.stimulus)
     ]
-    ways = tuple(arguments.ways.split(",")) if arguments.ways else None
+    ways = None if arguments.ways is None else tuple(arguments.ways.split(","))
     rows: list[TrajectoryScore] = []
     for result in servo(model, tasks, ways, out):
         name = str(result.task.stimulus)
@@ -328,12 +328,12 @@ COMMANDS = (
         "for the results (servo)",
         MODEL,
         STIMULUS,
-        integer("--starts", "for each way of perceiving (5)", 5),
+        integer("--starts", "walks around an object, for each way of perceiving (default: 5)", 5),
         option(
             "--ways", "NAME,NAME", "of perceiving (default: all that the model's networks allow)"
         ),
-        option("--depth", "MM", "of the contact (3)", type=float, default=3.0),
-        integer("--seed", "of the starts (0)", 0),
+        option("--depth", "MM", "depth of the contact, mm (default: 3)", type=float, default=3.0),
+        integer("--seed", "seed of the starts (default: 0)", 0),
     ),
     _make_command(
         reconstruct,

@@ -6,6 +6,7 @@
 import argparse
 import os
 import shlex
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -65,7 +66,13 @@ def option(name: str, metavar: str, text: str, **settings: Any) -> Option:
 
 
 def path(name: str, metavar: str, text: str, **settings: Any) -> Option:
-    return option(name, metavar, text, type=Path, **settings)
+    return option(name, metavar, text, type=_parse_path, **settings)
+
+
+def _parse_path(text: str) -> Path:
+    if not text:  # to Python the working folder; to a shell a variable that is not set
+        raise argparse.ArgumentTypeError("names nothing")
+    return Path(os.path.expanduser(text))  # shells leave `--out=~/a` as it is
 
 
 def integer(name: str, text: str, default: int | None = None) -> Option:
@@ -80,7 +87,9 @@ def json_file(content: str = "what was measured, with machine and versions") -> 
     return path("--json", "FILE", f"write {content}")
 
 
-DATA = path("--data", "DIR", "data sets (datasets)", default=Path("datasets"))
+DATA = path(
+    "--data", "DIR", "folder of the data sets (default: datasets)", default=Path("datasets")
+)
 
 
 class Parser(argparse.ArgumentParser):
@@ -119,21 +128,23 @@ def report_errors(work: Callable[[], int], continued: bool = False) -> int:
     """Run a program and report its errors.
 
     Returns what `work` returns: 0, or 1 where a check does not hold. Returns 2 after an error that
-    the user can fix (one line), 130 when interrupted. `continued`: the command goes on where it
-    was stopped.
+    the user can fix (one line), 128 and the signal's number when stopped by one. `continued`: the
+    command goes on where it was stopped.
     """
     warnings.formatwarning = _format_warning
+    warnings.simplefilter("default", Note)  # variables of Python would hide or raise it
     try:
-        return work()
+        code = work()
+        sys.stdout.flush()
+        return code
     except UserError as error:
         return _print_error(str(error))
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         next_step = "run the same command to continue" if continued else RESTART
         print(f"stopped; {next_step}", file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        sys.stdout = None  # whoever read us has gone: nothing more can be said there
-        return 141
+        return 128 + (stop.args[0] if stop.args else signal.SIGINT)
+    except BrokenPipeError:  # whoever read us has gone: nothing more can be said there
+        return 128 + signal.SIGPIPE
     except Exception as error:
         if is_disk_full(error):
             return _print_error("the disk is full; free some space, then run the same command")

@@ -13,7 +13,7 @@ from jaxunshear.cli.program import (
     path,
     write_measurement,
 )
-from jaxunshear.config.serialization import load_settings
+from jaxunshear.config.serialization import check_finished, check_unreleased, load_settings
 from jaxunshear.errors import UserError
 from jaxunshear.files import to_builtins, write_bytes, write_json
 from jaxunshear.output_checks import check_not_among
@@ -60,11 +60,7 @@ def validate(arguments: argparse.Namespace, command: str) -> int:
 
 
 def report(arguments: argparse.Namespace, command: str) -> int:
-    if not (arguments.run / "results.json").is_file():
-        raise UserError(
-            f"{arguments.run} holds no results.json: name the folder of a finished run, "
-            "such as runs/demo"
-        )
+    check_finished(arguments.run)
     from jaxunshear.report.report import write_report
 
     print(write_report(arguments.run))
@@ -90,6 +86,7 @@ def release(arguments: argparse.Namespace, command: str) -> int:
 def ablate(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.evaluation import code_swaps, codes, leakage
 
+    check_unreleased(arguments.run)
     experiment = load_settings(arguments.run)
     if arguments.leakage:
         from jaxunshear.report.leakage_figure import plot_leakage
@@ -127,7 +124,7 @@ def catalogue(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
-RUN_DIR = path("run", "RUN_DIR", "for example runs/demo")
+RUN_DIR = path("run", "RUN_DIR", "folder of a finished run, such as runs/demo")
 CATALOGUE_OPTIONS = (
     ("action", {"choices": ("list", "draw"), "nargs": "?", "default": "list"}),
     ("name", {"metavar": "NAME", "nargs": "?", "help": "what to draw"}),
@@ -164,8 +161,8 @@ COMMANDS = (
                 "FILE",
                 "calibration.json of `calibrate` (default: the fitted preset)",
             ),
-            integer("--contacts", "of each folder, at random; 0: all (400)", 400),
-            integer("--seed", "of the draw (0)", 0),
+            integer("--contacts", "contacts to draw from each folder; 0: all (default: 400)", 400),
+            integer("--seed", "seed of the draw (default: 0)", 0),
             path("--out", "DIR", "folder for validate.png and validate.txt"),
             json_file(ROWS),
         ),
@@ -177,7 +174,9 @@ COMMANDS = (
         compare,
         (
             path("runs", "RUN", "folders of runs; the first is the reference", nargs="+"),
-            path("--out", "DIR", f"where the page goes ({COMPARE_OUT})", default=COMPARE_OUT),
+            path(
+                "--out", "DIR", f"folder of the page (default: {COMPARE_OUT})", default=COMPARE_OUT
+            ),
         ),
     ),
     Command(
@@ -185,7 +184,7 @@ COMMANDS = (
         "make weights with a model card of a finished run, for `unshear` and `pose`",
         release,
         (
-            path("run", "RUN_DIR", "for example runs/standard"),
+            path("run", "RUN_DIR", "folder of a finished run, such as runs/standard"),
             path("--out", "DIR", "a new folder; its name is the weights'", required=True),
         ),
     ),
@@ -197,7 +196,7 @@ COMMANDS = (
         (
             RUN_DIR,
             DATA,
-            flag("--leakage", "what each code holds that it should not, by probes"),
+            flag("--leakage", "measure by probes what each code holds that it should not"),
             json_file(),
         ),
     ),

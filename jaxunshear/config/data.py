@@ -34,9 +34,10 @@ class Ranges:
     """Ranges from which poses and slides are drawn uniformly (paper section 3.2)."""
 
     lateral_mm: NotNegative = 5.0  # x and y within +- this
-    yaw_deg: Annotated[float, between(0, 180)] = 45.0  # the text's "[-45, -45]" read as +-45
-    depth_min_mm: Positive = 1.0  # indentation depth from this
-    depth_max_mm: float = 6.0  # to this
+    # yaw within +- this; the paper has "[-45, -45]"
+    yaw_deg: Annotated[float, between(0, 180)] = 45.0
+    depth_min_mm: Positive = 1.0  # smallest indentation depth
+    depth_max_mm: float = 6.0  # largest indentation depth
     move_mm: NotNegative = 2.5  # slide offset within +- this, along x or y or both, by chance
     # a slide turns within +- this while it moves, and ends at the pose's yaw
     twist_deg: Annotated[float, between(0, 90)] = 0.0
@@ -216,7 +217,7 @@ class Recorded(SourceSettings):
     test: Half = 0.1  # share of the poses for test, if no folder is
     # share of the poses that choose the best checkpoint, if no folder is
     validation: Half = 0.1
-    seed: Seed = 0  # seed of that draw, or of the block's place
+    seed: Seed = 0  # seed of the draw of kept-out poses, or of the block's place
     preprocess: Preprocess = field(default_factory=Preprocess)
 
     def find_problems(self) -> Iterator[Problem]:

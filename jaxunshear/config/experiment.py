@@ -31,18 +31,20 @@ class Experiment:
     Results go to runs/<name>/.
     """
 
-    name: str  # also of the folder of its results
-    claim: str  # what it is to show
-    seed: Seed = 0  # of weights and batches
-    # to train and evaluate: these, entangled_large, unet, posenet_sheared, and your own
+    name: str  # name of the experiment, and of the folder of its results
+    claim: str  # what the experiment is to show
+    seed: Seed = 0  # seed of weights and batches
+    # networks to train and evaluate: these, entangled_large, unet, posenet_sheared, and your own
     networks: tuple[str, ...] = NETWORKS
     # stimuli of a further test, which no network sees in training
     unseen: tuple[StimulusSetting, ...] = ()
     # one further test for each: taps miss the slide's depth by up to this
     other_jitters_mm: tuple[float, ...] = ()
-    other_twists_deg: tuple[float, ...] = ()  # likewise: slides twist by up to this
-    other_tilts_deg: tuple[float, ...] = ()  # likewise: the sensor leans by up to this
-    sensor: Sensor = TACTIP_331  # by name, see `jaxunshear sensors`
+    # one further test for each: slides twist by up to this
+    other_twists_deg: tuple[float, ...] = ()
+    # one further test for each: the sensor leans by up to this
+    other_tilts_deg: tuple[float, ...] = ()
+    sensor: Sensor = TACTIP_331  # one of those that `jaxunshear sensors` lists
     # pose targets, written as in targets.py; empty: all usual ones that vary in the data
     targets: tuple[str, ...] = ()
     paired: SourceSettings = field(default_factory=PairedData)

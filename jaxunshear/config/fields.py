@@ -26,6 +26,22 @@ from jaxunshear.config.types import (
 )
 from jaxunshear.errors import UserError
 
+# names that other tools have for fields, and ours
+USUAL_NAMES = {
+    **dict.fromkeys(("lr", "initial_lr", "lr0"), "learning_rate"),
+    **dict.fromkeys(("lr_schedule", "scheduler", "lr_scheduler"), "schedule"),
+    **dict.fromkeys(("bs", "batch_size", "minibatch"), "batch"),
+    **dict.fromkeys(("num_epochs", "n_epochs", "max_epochs", "iterations"), "epochs"),
+    **dict.fromkeys(("weight_decay", "wd", "l2_weight"), "l2"),
+    **dict.fromkeys(("optimizer", "optim", "opt"), "optimiser"),
+    **dict.fromkeys(("ema", "ema_decay"), "averaging"),
+    **dict.fromkeys(("loss", "loss_weights"), "losses"),
+    **dict.fromkeys(("checkpoint", "pretrained", "weights", "init_from", "resume"), "start"),
+    **dict.fromkeys(("image_size", "img_size", "imgsz", "resolution"), "size"),
+    **dict.fromkeys(("latent_dim", "z_dim", "code_size"), "pose_channels"),
+    **dict.fromkeys(("random_seed", "rng_seed"), "seed"),
+    **dict.fromkeys(("mu", "friction_coefficient"), "friction"),
+}
 NOT_SETTABLE = ("config", "digest")  # they name settings and set none
 
 
@@ -128,9 +144,13 @@ def _suggest_field(name: str, kinds: list[str]) -> str:
     if inside:
         more = ", ..." if len(inside) > 4 else ""
         return f": it is a group, with {', '.join(inside[:4])}{more}"
-    last = [kind for kind in kinds if kind.rpartition(".")[2] == name.rpartition(".")[2]]
+    group, _, own = name.rpartition(".")
+    ours = USUAL_NAMES.get(own.lower().replace("-", "_"), own)
+    last = [kind for kind in kinds if kind.rpartition(".")[2] == ours]
+    last = [kind for kind in last if kind == f"{group}.{ours}"] or last
     near = (
-        difflib.get_close_matches(name, kinds, n=1, cutoff=0.7)
+        (last[:3] if ours != own else [])
+        or difflib.get_close_matches(name, kinds, n=1, cutoff=0.7)
         or last[:3]
         or difflib.get_close_matches(name, kinds, n=1)
     )
@@ -145,9 +165,12 @@ def _parse_value(text: str, kind: Hint) -> Value:
     if types.NoneType in kinds:
         return None if text.lower() == "none" else _parse_value(text, kinds[0])
     if get_origin(kind) is tuple:
-        if kinds[-1] is ...:
-            return tuple(_parse_value(item.strip(), kinds[0]) for item in text.split(",") if text)
-        pairs = zip(text.split(":"), kinds, strict=True)
+        is_list = kinds[-1] is ...
+        items = text.split("," if is_list else ":") if text or not is_list else []
+        if not all(map(str.strip, items)):
+            raise ValueError
+        kinds = kinds[:1] * len(items) if is_list else kinds
+        pairs = zip(items, kinds, strict=True)
         return tuple(_parse_value(item.strip(), each) for item, each in pairs)
     if kind == WEIGHTS:
         weights = [item.split(":") for item in text.split(",") if item]

@@ -50,7 +50,9 @@ def run_file(path: Path) -> dict[str, Any]:
     """Run an experiment file, return its variables; what it registers stays. Raises UserError."""
     if not path.is_file():
         problem = "is a folder" if path.is_dir() else "does not exist"
-        raise UserError(f"experiment file {path} {problem}: name a Python file")
+        near = (Path(f"{path}.py"), Path("experiments", f"{path.stem}.py"))
+        hints = [f"did you mean {file}?" for file in near if file.is_file()]
+        raise UserError(f"experiment file {path} {problem}: {[*hints, 'name a Python file'][0]}")
     try:
         with _import_neighbours(path):
             return runpy.run_path(str(path), run_name="jaxunshear_experiment")

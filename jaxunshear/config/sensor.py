@@ -236,10 +236,10 @@ class Nuisance:
     Grey levels are fractions of full scale.
     """
 
-    housing_ring: bool = True  # the lit housing around the dome
-    specks: Annotated[int, between(0, 1000)] = 6  # mean number in a frame
-    blur_px: float = 0.6  # standard deviation, frame pixels
-    noise: Fraction = 0.02  # standard deviation of each pixel
+    housing_ring: bool = True  # whether the lit housing around the dome shows
+    specks: Annotated[int, between(0, 1000)] = 6  # mean number of bright specks in a frame
+    blur_px: float = 0.6  # standard deviation of the blur, frame pixels
+    noise: Fraction = 0.02  # standard deviation of the noise of each pixel
     brightness: Fraction = 0.15  # largest relative change of the pins' brightness
     drift_px: float = 0.0  # largest slow shift of the entire view over a set, frame pixels
     drift_brightness: Fraction = 0.0  # relative loss of brightness over a set: wear
@@ -256,7 +256,7 @@ class Preprocess:
     block: Share = 0.15  # side of the local mean's window, as a fraction of `size` (made odd)
     # a pixel is white if it exceeds the local mean by this fraction of full scale
     offset: Offset = 0.08
-    mask_radius: Share = 0.48  # of the circular mask, as a fraction of `size`
+    mask_radius: Share = 0.48  # radius of the circular mask, as a fraction of `size`
     # automatic crop: distance of the outermost pins from the centre over `size`, as in `Camera`
     outer_pins: OuterPins = 0.375
 

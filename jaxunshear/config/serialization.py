@@ -98,6 +98,7 @@ def _convert_to_tuples(data: object) -> object:
 
 
 RELEASED = Path(__file__).parents[1] / "weights"  # a folder for each name, with a model card
+CARD = "README.md"  # the model card, which no run has
 
 
 def find_model_folder(model: Path) -> Path:
@@ -105,6 +106,28 @@ def find_model_folder(model: Path) -> Path:
     is_name = len(model.parts) == 1 and not model.exists()
     released = RELEASED / model
     return released if is_name and (released / "experiment.json").is_file() else model
+
+
+def check_unreleased(folder: Path) -> None:
+    """Refuse released weights where a run is meant. Raises UserError."""
+    weights = find_model_folder(folder)
+    has_card, has_settings = ((weights / name).is_file() for name in (CARD, "experiment.json"))
+    if has_card and has_settings and not (weights / "results.json").is_file():
+        raise UserError(
+            f"{folder}: released weights hold no contacts and no scores: name a finished run, "
+            f"such as runs/demo, or score them by `jaxunshear evaluate {folder} --recordings DIR`"
+        )
+
+
+def check_finished(folder: Path) -> None:
+    """Refuse what is not the folder of a finished run. Raises UserError."""
+    check_unreleased(folder)
+    if not (folder / "results.json").is_file():
+        if (folder / "experiment.json").is_file():
+            raise UserError(f"{folder} is not finished: run its command again, which goes on")
+        raise UserError(
+            f"{folder} holds no results.json: name the folder of a finished run, such as runs/demo"
+        )
 
 
 def load_settings(model: Path) -> Experiment:

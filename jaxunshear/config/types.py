@@ -64,7 +64,9 @@ def find_problems(settings: object, group: str = "") -> Iterator[Problem]:
         choices, value = list_choices(hint), getattr(settings, field)
         values[field] = value
         items = value if isinstance(value, tuple) else (value,)
-        unknown = ", ".join(item for item in items if isinstance(item, str) and item not in choices)
+        unknown = ", ".join(
+            item or "''" for item in items if isinstance(item, str) and item not in choices
+        )
         if choices and unknown:
             subject = f"{unknown} is" if isinstance(value, tuple) else "is"
             yield f"{group}{field}", f"{subject} unknown: use one of {', '.join(choices)}"

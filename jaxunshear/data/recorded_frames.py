@@ -6,6 +6,7 @@ made examples of `tactip_recorded`, and counted.
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -86,11 +87,14 @@ Result = TypeVar("Result")
 
 def _map_over_cores(function: Callable[..., Result], jobs: list[tuple]) -> Iterator[Result]:
     """Yield `function(*job)` of each job, in order: in processes if there are two jobs or more."""
-    workers = min(count_cores(), len(jobs))
-    if workers < 2:
+    pool, workers = None, min(count_cores(), len(jobs))
+    if workers > 1:
+        with suppress(OSError):  # no shared memory, as in some containers
+            pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    if pool is None:
         yield from (function(*job) for job in jobs)
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with pool:
         yield from pool.map(function, *zip(*jobs, strict=True))
 
 

@@ -21,6 +21,8 @@ from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.results.applications import TrajectoryScore
 from jaxunshear.simulator.stimuli import get_closed_stimulus
 
+MAX_STARTS = 10_000  # more may not fit into memory
+
 
 @dataclass(frozen=True)
 class ServoResult:
@@ -75,8 +77,8 @@ def servo(
 
 def _check_task(task: ServoTask, sensor: Sensor) -> None:
     get_closed_stimulus(task.stimulus)
-    if task.starts < 1:
-        raise UserError(f"--starts {task.starts}: use at least 1")
+    if not 1 <= task.starts <= MAX_STARTS:
+        raise UserError(f"--starts {task.starts}: use at least 1, at most {MAX_STARTS}")
     if task.seed < 0:
         raise UserError(f"--seed {task.seed}: use 0 or more")
     deepest = compute_max_depth_mm(sensor)

@@ -328,7 +328,8 @@ def load_model(
     """
     keep_freed_memory()
     folder = find_model_folder(Path(name))
-    model = TrainedModel(folder, load_settings(folder), force=force)
+    # networks are read when they are first used, perhaps from another working folder
+    model = TrainedModel(folder.absolute(), load_settings(folder), force=force)
     if model.source.has_frame:
         model.frame = parse_frame(read_object(folder / FRAME))
     elif model.reads_pins and like is not None:

@@ -21,7 +21,7 @@ from jaxunshear.results.run import Settings
 from jaxunshear.results.sweep import Outcome
 
 TASK, LOG, LOCK = "task.json", "log.txt", "lock"
-WORKER = (sys.executable, "-m", "jaxunshear.sweep.worker")
+WORKER = (sys.executable, "-P", "-m", "jaxunshear.sweep.worker")
 DISK_FULL = 75  # exit code of a task that has no outcome, since the disk is full
 
 
@@ -100,6 +100,7 @@ def run_task(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: boo
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},  # the modules found here
             start_new_session=True,  # Ctrl-C is for the sweep, which then ends its tasks
         )
         try:
