@@ -100,6 +100,16 @@ def _iterate_causes(error: BaseException | None) -> Iterator[BaseException]:
         error = error.__cause__ or error.__context__
 
 
+def explain_stub(content: Path | bytes) -> str:
+    """Say that a file, or its bytes, is empty or a pointer of Git LFS; "" for any other."""
+    if isinstance(content, Path):
+        with content.open("rb") as file:
+            content = file.read(64)
+    if content.startswith(b"version https://git-lfs"):
+        return "it is a pointer of Git LFS, not the file itself: run `git lfs pull`"
+    return "" if content else "it is empty: copy it again"
+
+
 def read_npz(file: Path | BinaryIO) -> "dict[str, np.ndarray]":
     """Read all arrays by name. Raises one of BROKEN_NPZ.
 

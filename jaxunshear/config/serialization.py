@@ -127,6 +127,11 @@ def find_model_folder(model: Path) -> Path:
     return released if is_name and (released / "experiment.json").is_file() else model
 
 
+def is_released(model: Path) -> bool:
+    """Return whether a folder holds released weights, which keep no results."""
+    return any(model.glob("*/weights.npz"))
+
+
 def load_settings(model: Path) -> Experiment:
     """Load the experiment that a folder was made with. Raises UserError."""
     file = model / "experiment.json"

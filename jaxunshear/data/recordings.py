@@ -35,6 +35,7 @@ from jaxunshear.data.labels import (
     read_targets,
 )
 from jaxunshear.errors import UserError, get_first_line
+from jaxunshear.files import explain_stub
 
 if TYPE_CHECKING:
     from jaxunshear.perception.preprocess import View
@@ -165,7 +166,10 @@ def read_image(file: Path | bytes) -> np.ndarray:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of broken tags: the image is read without them
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            return _decode_image(file if isinstance(file, bytes) else file.read_bytes())
+            data = file if isinstance(file, bytes) else file.read_bytes()
+            if stub := explain_stub(data):
+                raise UserError(stub)
+            return _decode_image(data)
     except UserError:
         raise
     except Exception as error:  # decoders meet broken files with errors of every kind
