@@ -147,12 +147,15 @@ class TrainedModel:
         paired = self.require_simulation("this")
         return compute_rest_lattice(self.sensor, paired.camera, paired.preprocess)
 
+    @property
+    def rest(self) -> np.ndarray:
+        """Where untouched pins stand in its prepared images, (P, 2) px."""
+        return self.frame.rest if self.source.has_frame and self.frame else self.lattice.rest
+
     @cached_property
     def appearance(self) -> SensorAppearance:
         """How its sensor appears in prepared images."""
-        if self.source.has_frame and self.frame:
-            return measure_sensor_appearance(self.frame.rest, self.frame.size)
-        return measure_sensor_appearance(self.lattice.rest, self.experiment.paired.preprocess.size)
+        return measure_sensor_appearance(self.rest, self.experiment.paired.preprocess.size)
 
     @cached_property
     def reader(self) -> Reader:
