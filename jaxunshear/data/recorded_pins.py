@@ -14,6 +14,7 @@ import numpy as np
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import Recordings, read_first_image, read_recordings
 from jaxunshear.data.sensor_frame import LARGEST_PX
+from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.lattice_fitting import MarkerLayout, fit_lattice
 from jaxunshear.perception.pin_detection import DetectedPins, detect_pins
@@ -63,6 +64,11 @@ def find_pins(
     to the images themselves: motions are then from their mean position. Raises `UserError` if
     nothing can be read or pins are not this layout's.
     """
+    if not isinstance(path, str | Path):
+        raise UserError(
+            f"find_pins takes the path of an image or a folder, not {type(path).__name__}: "
+            "of an image in memory `detect_pin_centres` of jaxunshear.perception.pin_detection"
+        )
     if preprocess is None:
         first = read_first_image(read_recordings(path, Preprocess()).files)
         preprocess = Preprocess(

@@ -1,17 +1,37 @@
 """Each door gives the same answer to what is not understood, and refuses before it writes."""
 
+import io
 import json
 import shutil
+from functools import cache
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
+import onnxruntime
 import pytest
 from PIL import Image
 
 from jaxunshear import load_model
+from jaxunshear.api import Predictions, find_pins
+from jaxunshear.apps.explore.explorer import make_explorer
+from jaxunshear.apps.export.onnx_file import build_onnx
+from jaxunshear.apps.export.parts import load_exported_model
+from jaxunshear.apps.robot.frame_sources import SourceFrame
+from jaxunshear.apps.robot.stream import stream
+from jaxunshear.config.sensor import TACTIP_127
 from jaxunshear.config.serialization import RELEASED
+from jaxunshear.errors import Note, UserError
 from jaxunshear.metrics.images import ms_ssim, mse, ssim
+from jaxunshear.perception.sensor_check import FOREIGN_REASON, invert_image
+from jaxunshear.simulator.pin_layout import compute_pin_lattice
+from jaxunshear.simulator.scene import make_scenes
+from jaxunshear.simulator.simulate import simulate
+from tests.helpers.dots import draw_dots
+from tests.helpers.image_files import png_of
 from tests.inputs.cases import Case, run_each
+
+SIZE = 128  # px, of `standard`
 
 LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12345\n"
 
@@ -140,7 +160,230 @@ MEASURES = [
     Case("floats to 255", "mse", "refused", score_images(mse, 255, NO_RANGE)),
     Case("floats to -2", "mse", "refused", score_images(mse, -2, NO_RANGE)),
 ]
-CASES = [*WRITES, *WEIGHTS, *MEASURES]
+
+
+class Pictures(NamedTuple):
+    """Images (S, S) uint8 of what cameras of other things show, beside one of the sensor."""
+
+    sensor: np.ndarray
+    foreign: dict[str, np.ndarray]
+
+
+def draw_pins(rest):
+    return np.uint8(255) * draw_dots(np.asarray(rest), 1.4).astype(bool)
+
+
+@cache
+def draw_pictures():
+    rest = load_model("standard").rest
+    noise, sensor = np.random.default_rng(0).random((SIZE, SIZE)), draw_pins(rest)
+    left, flat = np.arange(SIZE) < SIZE // 2, compute_pin_lattice(TACTIP_127)
+    other = (SIZE - 1) / 2 + 0.375 * SIZE * flat / np.linalg.norm(flat, axis=-1).max()
+    foreign = {
+        "black": 0 * sensor,
+        "white": 0 * sensor + 255,
+        "noise": np.uint8(255) * (noise < 0.2),
+        "dense noise": np.uint8(255) * (noise < 0.5),
+        "half covered": sensor * left,
+        "a sensor of 127 pins": draw_pins(other),
+        "dark pins": invert_image(sensor),
+        "off the middle": np.roll(sensor, 30, 1),
+    }
+    return Pictures(sensor, foreign)
+
+
+def predict_foreign(name):
+    def check(given):
+        sensor, foreign = draw_pictures()
+        found = given.standard.predict(np.stack([sensor, foreign[name]]))
+        assert found.rejection.tolist() == ["", FOREIGN_REASON]
+        assert found.confidence[0] > 0.5 and found.confidence[1] == 0
+        for values in (found.unsheared, *found.poses["unsheared"].values()):
+            assert np.isfinite(values[0]).all() and np.isnan(values[1]).all()
+
+    return check
+
+
+@cache
+def open_exported(name):
+    parts = load_exported_model(load_model(name))
+    return onnxruntime.InferenceSession(build_onnx(parts, None, None, {}))
+
+
+def run_exported(name, input_name, inputs):
+    outputs = ["sure", "confidence", "pose", "unsheared"]
+    return open_exported(name).run(outputs, {input_name: inputs})
+
+
+def check_second_is_unsure(sure, confidence, pose, unsheared):
+    assert sure.tolist() == [True, False] and confidence[0] > 0.5 and confidence[1] == 0
+    for values in (pose, unsheared):
+        assert np.isfinite(values[0]).all() and np.isnan(values[1]).all()
+
+
+def export_foreign(name):
+    def check(given):
+        sensor, foreign = draw_pictures()
+        shown = foreign | {"0 and 1": sensor // 255}
+        images = np.stack([sensor, shown[name]])
+        check_second_is_unsure(*run_exported("standard", "image", images))
+
+    return check
+
+
+def export_pins(change):
+    """Give the exported `skin` pins as they are, some missing, and as `change` spoils them."""
+
+    def check(given):
+        rest = load_exported_model(load_model("skin")).rest
+        pins = rest + np.float32([2, 1])
+        spoilt = np.float32(change(pins))
+        pins[::20] = np.nan
+        check_second_is_unsure(*run_exported("skin", "pins", np.stack([pins, spoilt])))
+
+    return check
+
+
+def write_pictures(folder, pictures):
+    folder.mkdir()
+    for number, picture in enumerate(pictures):
+        Image.fromarray(picture).save(folder / f"image_{number}.png")
+    return folder
+
+
+def stream_mixed(foreign_count, code):
+    """Stream two images of the sensor, and some of the others, none of one flat grey."""
+
+    def check(given):
+        sensor, foreign = draw_pictures()
+        others = [foreign["noise"], foreign["half covered"]][:foreign_count]
+        folder = write_pictures(given.folder / "mixed", [sensor, sensor, *others])
+        answer = given.command("stream", folder, "--model", "standard", "--no-images")
+        lines = [json.loads(line) for line in answer.out.splitlines()]
+        assert answer.code == code, answer.err
+        assert f"2 frames used, {foreign_count} skipped" in answer.err
+        assert [line.get("error") for line in lines[2:]] == foreign_count * [FOREIGN_REASON]
+
+    return check
+
+
+def refuse_folder(door, name):
+    def check(given):
+        folder = write_pictures(given.folder / "all", 3 * [draw_pictures().foreign[name]])
+        out = ("--out", given.folder / "out") if door == "unshear" else ()
+        refuse(given.command(door, folder, "--model", "standard", *out), str(folder))
+        assert not (given.folder / "out").exists()
+
+    return check
+
+
+def explore_foreign(name, words):
+    def check(given):
+        explorer = make_explorer(given.standard)
+        with pytest.raises(UserError, match=words):
+            explorer.infer_recording("a.png", png_of(draw_pictures().foreign[name]))
+        assert not explorer.infer_recording("a.png", png_of(draw_pictures().sensor)).note
+
+    return check
+
+
+def prepare_as_stream(given):
+    """Frames of 640 x 480 whose dome appears to move a little, as noise makes it."""
+    random, rest = np.random.default_rng(0), given.standard.rest
+    rows, columns = np.mgrid[:480, :640]
+    frames = []
+    for number in range(4):
+        middle = np.array([320, 240]) + 2 * number
+        pins = 2.6 * (rest - rest[0]) + middle
+        disc = np.hypot(columns - middle[0], rows - middle[1]) < 170
+        grey = np.where(disc, 30, 160) + random.normal(0, 3, disc.shape)
+        column, row = np.round(pins).astype(int).T
+        for dx, dy in np.ndindex(5, 5):
+            grey[row + dy - 2, column + dx - 2] = 220
+        frames.append(np.uint8(grey.clip(0, 255)))
+    alone, streamed, shown = load_model("standard"), load_model("standard"), []
+
+    def predict(images):
+        shown.append(images[0])
+        return Predictions(None, {}, {}, np.array([FOREIGN_REASON]), np.zeros(1))
+
+    streamed.predict = predict
+    source = (SourceFrame(i, str(i), frame, "") for i, frame in enumerate(frames))
+    stream(source, False, streamed, io.StringIO(), None, False)
+    with pytest.warns(Note):
+        prepared = [alone.prepare(frame) for frame in frames]
+    np.testing.assert_array_equal(prepared, shown)
+    assert (prepared[0] != prepared[3]).any()
+
+
+def refuse_call(call, words):
+    def check(given):
+        with pytest.raises(UserError, match=words):
+            call(given.standard)
+
+    return check
+
+
+def simulate_by_name(model):
+    scenes = make_scenes(("disk",), np.zeros(1, int), np.array([[0, 0, 0, 3.0]]), np.zeros((1, 2)))
+    simulate("tactip331", ("disk",), scenes)
+
+
+def show_model(given):
+    assert len(repr(given.standard)) < 200 and "posenet" in repr(given.standard)
+
+
+UNSURE = "NaN, a reason, no confidence"
+SPOILT_PINS = {
+    "all NaN": lambda pins: pins * np.nan,
+    "infinite": lambda pins: pins * np.inf,
+    "shares of the side": lambda pins: pins / SIZE,
+    "motions": lambda pins: pins - pins.mean(axis=0),
+    "rows first": lambda pins: pins[:, ::-1],
+    "in another order": np.random.default_rng(0).permutation,
+    "of images twice as large": lambda pins: 2 * pins,
+    "mirrored": lambda pins: pins * [-1, 1] + [SIZE - 1, 0],
+    "half missing": lambda pins: np.where(pins[:, :1] < SIZE / 2, np.nan, pins),
+}
+FOREIGN = (
+    *("black", "white", "noise", "dense noise", "half covered", "a sensor of 127 pins"),
+    *("dark pins", "off the middle"),
+)
+IMAGES = [
+    *(Case(name, "predict", UNSURE, predict_foreign(name)) for name in FOREIGN),
+    *(Case(name, "export", UNSURE, export_foreign(name)) for name in (*FOREIGN, "0 and 1")),
+    *(
+        Case(f"pins: {name}", "export", UNSURE, export_pins(SPOILT_PINS[name]))
+        for name in SPOILT_PINS
+    ),
+    Case("one of three is noise", "stream", "exit code 0, a count", stream_mixed(1, 0)),
+    Case("half are foreign", "stream", "exit code 1, a count", stream_mixed(2, 1)),
+    Case("a folder of noise", "unshear", "refused", refuse_folder("unshear", "noise")),
+    Case("a folder of black", "unshear", "refused", refuse_folder("unshear", "black")),
+    Case("a folder of halves", "pose", "refused", refuse_folder("pose", "half covered")),
+    Case("another sensor", "pose", "refused", refuse_folder("pose", "a sensor of 127 pins")),
+    Case("noise", "explore", "a reason", explore_foreign("noise", "scattered")),
+    Case("black", "explore", "a reason", explore_foreign("black", "flat grey")),
+    Case("another sensor", "explore", "a reason", explore_foreign("a sensor of 127 pins", "127")),
+]
+PYTHON = [
+    Case("a dome that trembles", "prepare", "the crop of `stream`", prepare_as_stream),
+    Case("a model", "repr", "a line", show_model),
+    Case("a name", "simulate", "is named", refuse_call(simulate_by_name, "'tactip331' is no Sens")),
+    Case(
+        "an array",
+        "find_pins",
+        "is named",
+        refuse_call(lambda model: find_pins(np.zeros((64, 64)), None), "not ndarray"),
+    ),
+    Case(
+        "floats",
+        "predict",
+        "refused",
+        refuse_call(lambda model: model.predict(np.zeros((1, SIZE, SIZE))), "float64"),
+    ),
+]
+CASES = [*WRITES, *WEIGHTS, *MEASURES, *IMAGES, *PYTHON]
 
 
 @run_each(CASES)

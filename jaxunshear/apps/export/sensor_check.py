@@ -186,8 +186,9 @@ def add_pin_plausibility(graph: Graph, check: SensorCheck, pins: Any) -> Any:
         return total(values, 1)
 
     moments = _Moments(flatten(column), flatten(row), flatten(total(square(place), 1)))
-    counts = (flatten(total(values, 1)) for values in (known, even))
-    return _add_plausibility(graph, check._replace(even_share=1.0), *counts, moments)
+    count, even_count = (flatten(total(values, 1)) for values in (known, even))
+    check = check._replace(even_share=1.0)
+    return _add_plausibility(graph, check, count, even_count, moments)
 
 
 class _Moments(NamedTuple):

@@ -15,15 +15,13 @@ from typing import NamedTuple, TextIO
 import numpy as np
 
 from jaxunshear.apps.robot.frame_sources import SourceFrame
-from jaxunshear.config.sensor import Preprocess
-from jaxunshear.data.recordings import PROBES
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes
 from jaxunshear.inference.forward import UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.metrics import compute_pose_errors
 from jaxunshear.perception.drawing import encode_png, to_uint8
-from jaxunshear.perception.preprocess import View, combine_views, find_view, prepare_frame
+from jaxunshear.perception.preprocess import prepare_frame
 from jaxunshear.results.applications import StreamResult
 
 FAST_COMPRESSION = 1  # zlib's level: a frame has milliseconds
@@ -78,7 +76,6 @@ def stream(
         inline: whether images are written into the lines as base64 PNG instead.
         read_labels: with these, lines and summary have errors, too.
     """
-    find_view = make_steady_view(model.preprocess)
     stats = _StreamStats()
     start = time.perf_counter()
     try:
@@ -88,7 +85,7 @@ def stream(
             stats.last = frame.number
             line: Json = {"frame": frame.number, "name": frame.name}
             try:
-                answer = _answer_frame(model, frame, find_view)
+                answer = _answer_frame(model, frame)
             except UserError as error:
                 stats.skipped += 1
                 stats.problems[str(error)] += 1
@@ -108,13 +105,11 @@ def stream(
     return _summarise(stats, live, time.perf_counter() - start)
 
 
-def _answer_frame(
-    model: TrainedModel, frame: SourceFrame, find_view: Callable[[np.ndarray], View]
-) -> _Answer:
+def _answer_frame(model: TrainedModel, frame: SourceFrame) -> _Answer:
     """Run the networks on a frame. Raises UserError if it cannot be used, or is not understood."""
     if frame.pixels is None:
         raise UserError(frame.problem)
-    view = model.view or frame.view or find_view(frame.pixels)
+    view = model.view or frame.view or model.find_view(frame.pixels)
     image = prepare_frame(model.preprocess, frame.pixels, view)
     if not image.any():
         raise UserError("nothing white is left of this frame: no pins to see")
@@ -151,24 +146,6 @@ def _compute_errors(pose: dict[str, float], labels: Mapping[str, float]) -> dict
     truth = {name: np.array([labels[name]]) for name in names}
     errors = compute_pose_errors({name: np.array([pose[name]]) for name in truth}, truth)
     return {name: float(error[0]) for name, error in errors.items()}
-
-
-def make_steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
-    """Make a function from a camera's frames, one by one, to the view that they have in common.
-
-    It is that of the first PROBES usable frames of each size, as far as they have come.
-    """
-    views: dict[tuple[int, ...], list[View]] = {}
-    common: dict[tuple[int, ...], View] = {}
-
-    def update_view(raw: np.ndarray) -> View:
-        views_of_size = views.setdefault(raw.shape, [])
-        if len(views_of_size) < PROBES:
-            views_of_size.append(find_view(preprocess, raw))
-            common[raw.shape] = combine_views(views_of_size)
-        return common[raw.shape]
-
-    return update_view
 
 
 def _end_when_lost(

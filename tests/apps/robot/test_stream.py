@@ -11,13 +11,14 @@ from PIL import Image
 
 from jaxunshear.apps.robot import frame_sources
 from jaxunshear.apps.robot.frame_sources import SourceFrame, open_frames
-from jaxunshear.apps.robot.stream import make_steady_view, stream
+from jaxunshear.apps.robot.stream import stream
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import UNSHEARED
 from jaxunshear.inference.readers import ImageReader, Predictions
+from jaxunshear.inference.steady_view import make_steady_view
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.sensor_check import FOREIGN_REASON, UNIDENTIFIED_REASON
