@@ -277,9 +277,14 @@ def refuse_folder(door, name):
     return check
 
 
+@cache
+def open_explorer():
+    return make_explorer(load_model("standard"))
+
+
 def explore_foreign(name, words):
     def check(given):
-        explorer = make_explorer(given.standard)
+        explorer = open_explorer()
         with pytest.raises(UserError, match=words):
             explorer.infer_recording("a.png", png_of(draw_pictures().foreign[name]))
         assert not explorer.infer_recording("a.png", png_of(draw_pictures().sensor)).note
