@@ -3,7 +3,7 @@
 import io
 import json
 import shutil
-from functools import cache
+from functools import cache, partial
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -21,8 +21,12 @@ from jaxunshear.apps.robot.frame_sources import SourceFrame
 from jaxunshear.apps.robot.stream import stream
 from jaxunshear.config.sensor import TACTIP_127
 from jaxunshear.config.serialization import RELEASED
+from jaxunshear.data.reader import Reader
 from jaxunshear.errors import Note, UserError
+from jaxunshear.evaluation.recorded_evaluation import _select_understood
+from jaxunshear.evaluation.recorded_results import RecordedTest
 from jaxunshear.metrics.images import ms_ssim, mse, ssim
+from jaxunshear.models import modality
 from jaxunshear.perception.sensor_check import FOREIGN_REASON, invert_image
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 from jaxunshear.simulator.scene import make_scenes
@@ -292,6 +296,17 @@ def explore_foreign(name, words):
     return check
 
 
+def evaluate_others(given):
+    """Noise among other recordings of a run is not scored; of its own all are."""
+    sensor, foreign = draw_pictures()
+    reader = Reader(lambda split: {"image": np.stack([sensor, foreign["noise"], sensor])}, SIZE)
+    own = RecordedTest(None, reader, False, "same session")
+    others = own._replace(data="other recordings", appearance=given.standard.appearance)
+    select = partial(_select_understood, modality.IMAGES, reader=reader, split="test", paired=None)
+    assert select(test=others).tolist() == [0, 2]
+    assert select(test=own).tolist() == [0, 1, 2]
+
+
 def prepare_as_stream(given):
     """Frames of 640 x 480 whose dome appears to move a little, as noise makes it."""
     random, rest = np.random.default_rng(0), given.standard.rest
@@ -367,6 +382,7 @@ IMAGES = [
     Case("a folder of black", "unshear", "refused", refuse_folder("unshear", "black")),
     Case("a folder of halves", "pose", "refused", refuse_folder("pose", "half covered")),
     Case("another sensor", "pose", "refused", refuse_folder("pose", "a sensor of 127 pins")),
+    Case("noise among contacts", "evaluate", "left out", evaluate_others),
     Case("noise", "explore", "a reason", explore_foreign("noise", "scattered")),
     Case("black", "explore", "a reason", explore_foreign("black", "flat grey")),
     Case("another sensor", "explore", "a reason", explore_foreign("a sensor of 127 pins", "127")),

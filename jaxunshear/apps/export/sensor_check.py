@@ -11,6 +11,7 @@ It is written once, as nodes of ONNX. `JaxGraph` computes each node at once.
 >>> add_image_plausibility(JaxGraph(), check, images)   # (B, 1, S, S) of 0 and 1 -> (B,)
 """
 
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -30,13 +31,13 @@ from jaxunshear.perception.sensor_check import (
 # Lengths are in units of the spacing.
 BLUR = 0.22  # standard deviation
 PEAK_RADIUS = 0.45  # within which a dot has one peak
-EVEN_RANGE = (0.62, 1.4)  # distances of a pin's neighbours; none is nearer
-NEIGHBOURS_RANGE = (3, 8)  # of an even pin
+EVEN_RANGE = (0.55, 1.3)  # halves of squares: no neighbour stands in the smaller one
+NEIGHBOURS_RANGE = (3, 10)  # of an even pin, in the larger one
 REACH = 1.0  # of dots beyond the outermost pin at rest
 MAX_OWN_MOTION = 2.0  # of a pin beyond the mean motion, see `docs/robot.md`
 MIN_PEAK = 0.25  # share of white under the blur
 MAX_WHITE = 0.5  # share of white among the pins; there is more in an image with dark pins
-LEVELS, TIES = 200, 64  # of the blur and of what breaks ties: sums of integers are exact everywhere
+LEVELS, TIES = 15, 64  # of the blur and of what breaks ties: sums of integers are exact everywhere
 NEAREST = 6
 FAR_PX = 1e5  # no pin stands there
 TINY = np.float32(1e-6)
@@ -67,13 +68,6 @@ class JaxGraph:
         return _JAX_OPS[op](*inputs, **attributes)
 
 
-def _convolve(x: Any, kernel: np.ndarray, pads: tuple[int, ...]) -> Any:
-    pad = (pads[0], pads[0])
-    return lax.conv_general_dilated(
-        x, jnp.asarray(kernel), (1, 1), (pad, pad), precision=lax.Precision.HIGHEST
-    )
-
-
 def _pool(x: Any, kernel_shape: tuple[int, int], pads: tuple[int, ...]) -> Any:
     pad = (pads[0], pads[0])
     window = (1, 1, *kernel_shape)
@@ -96,7 +90,7 @@ _JAX_OPS: dict[str, Any] = {
     "GreaterOrEqual": jnp.greater_equal,
     "LessOrEqual": jnp.less_equal,
     "Cast": lambda x, to: x.astype(jnp.float32),
-    "Conv": _convolve,
+    "MatMul": partial(jnp.matmul, precision="highest"),
     "MaxPool": _pool,
     "Gather": lambda x, rows, axis: jnp.take(x, rows, axis),
     "ReduceSum": lambda x, axes, keepdims: jnp.sum(
@@ -227,17 +221,16 @@ def _add_plausibility(
 
 def _add_peaks(graph: Graph, check: SensorCheck, images: Any) -> Any:
     """Add the nodes from images to maps (B, 1, S, S) that are 1 at the peak of each dot, else 0."""
-    deviation = BLUR * check.spacing
-    half = int(np.ceil(2.5 * deviation))
-    away = np.hypot(*np.mgrid[-half : half + 1, -half : half + 1])
-    kernel = np.round(LEVELS * np.exp(-(away**2) / (2 * deviation**2)))
-    blurred = graph.add("Conv", images, _as_kernel(TIES * kernel), pads=(half,) * 4)
+    across = _measure_distances(check.size) / (BLUR * check.spacing)
+    blur = np.round(LEVELS * np.exp(-(across**2) / 2))
+    blurred = _add_both_sides(graph, np.sqrt(TIES) * blur, images)
     rows, columns = np.mgrid[: check.size, : check.size]
     untied = graph.add("Add", blurred, np.float32((3 * rows + 5 * columns) % TIES))
     radius = max(1, int(PEAK_RADIUS * check.spacing))
     highest = graph.add("MaxPool", untied, kernel_shape=(2 * radius + 1,) * 2, pads=(radius,) * 4)
     is_peak = graph.add("And", graph.add("Equal", untied, highest), _find_inside(check))
-    is_white = graph.add("GreaterOrEqual", untied, np.float32(MIN_PEAK * TIES * kernel.sum()))
+    least = MIN_PEAK * TIES * blur.sum(axis=1).max() ** 2
+    is_white = graph.add("GreaterOrEqual", untied, np.float32(least))
     return graph.add("Cast", graph.add("And", is_peak, is_white), to=FLOAT)
 
 
@@ -250,20 +243,26 @@ def _find_inside(check: SensorCheck) -> np.ndarray:
 
 
 def _add_even_peaks(graph: Graph, check: SensorCheck, peaks: Any) -> Any:
-    nearest, furthest = (limit * check.spacing for limit in EVEN_RANGE)
-    half = int(np.ceil(furthest))
-    away = np.hypot(*np.mgrid[-half : half + 1, -half : half + 1])
-    low, high = NEIGHBOURS_RANGE
-    too_near = (high + 1) * ((away > 0) & (away < nearest))
-    kernel = too_near + ((away >= nearest) & (away <= furthest))
-    count = graph.add("Conv", peaks, _as_kernel(kernel), pads=(half,) * 4)
-    is_even = graph.add(
-        "And",
-        graph.add("GreaterOrEqual", count, np.float32(low)),
-        graph.add("LessOrEqual", count, np.float32(high)),
+    near, around = (
+        _add_both_sides(graph, _measure_distances(check.size) <= limit * check.spacing, peaks)
+        for limit in EVEN_RANGE
     )
+    low, high = NEIGHBOURS_RANGE
+    is_even = graph.add("LessOrEqual", near, np.float32(1))  # itself
+    for op, limit in (("GreaterOrEqual", 1 + low), ("LessOrEqual", 1 + high)):
+        is_even = graph.add("And", is_even, graph.add(op, around, np.float32(limit)))
     return graph.add("Mul", peaks, graph.add("Cast", is_even, to=FLOAT))
 
 
-def _as_kernel(weights: np.ndarray) -> np.ndarray:
-    return np.asarray(weights, np.float32)[None, None]
+def _measure_distances(size: int) -> np.ndarray:
+    """Measure the distances px (S, S) between the rows of an image, or its columns."""
+    return np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
+
+
+def _add_both_sides(graph: Graph, matrix: np.ndarray, images: Any) -> Any:
+    """Add the nodes of a symmetric matrix on rows and columns: a sum over a window of each pixel.
+
+    A convolution takes longer here.
+    """
+    matrix = np.asarray(matrix, np.float32)
+    return graph.add("MatMul", matrix, graph.add("MatMul", images, matrix))
