@@ -1,5 +1,6 @@
 """Each door gives the same answer to what is not understood, and refuses before it writes."""
 
+import csv
 import io
 import json
 import shutil
@@ -271,6 +272,46 @@ def stream_mixed(foreign_count, code):
     return check
 
 
+def write_mixed(given):
+    sensor, foreign = draw_pictures()
+    pictures = [sensor, sensor, foreign["noise"], foreign["half covered"]]
+    return write_pictures(given.folder / "mixed", pictures)
+
+
+def check_half_is_left_out(answer, table):
+    assert answer.code == 1 and f"left out 2: {FOREIGN_REASON}" in answer.out + answer.err
+    rows = list(csv.DictReader(io.StringIO(table)))
+    assert [row["left_out"] for row in rows] == 2 * [""] + 2 * [FOREIGN_REASON]
+    for row in rows:
+        numbers = [value for name, value in row.items() if name.endswith(("_mm", "_deg"))]
+        assert len(numbers) >= 4 and all(bool(value) == (not row["left_out"]) for value in numbers)
+
+
+def pose_mixed(given):
+    answer = given.command("pose", write_mixed(given), "--model", "standard")
+    check_half_is_left_out(answer, answer.out)
+
+
+def unshear_mixed(given):
+    out = given.folder / "out"
+    answer = given.command("unshear", write_mixed(given), "--model", "standard", "--out", out)
+    check_half_is_left_out(answer, (out / "poses.csv").read_text())
+    assert sorted(file.name for file in out.glob("*.png")) == ["image_0.png", "image_1.png"]
+
+
+def force_noise(given):
+    noise = draw_pictures().foreign["noise"][None]
+    found = load_model("standard", force=True).predict(noise)
+    assert found.rejection.tolist() == [""] and found.confidence[0] < 0.01
+    assert np.isfinite(found.unsheared).all()
+
+
+def encode_noise(given):
+    sensor, foreign = draw_pictures()
+    pose = np.asarray(given.standard.codes(np.stack([sensor, foreign["noise"]])).pose)
+    assert np.isfinite(pose[0]).all() and np.isnan(pose[1]).all()
+
+
 def refuse_folder(door, name):
     def check(given):
         folder = write_pictures(given.folder / "all", 3 * [draw_pictures().foreign[name]])
@@ -378,6 +419,10 @@ IMAGES = [
     ),
     Case("one of three is noise", "stream", "exit code 0, a count", stream_mixed(1, 0)),
     Case("half are foreign", "stream", "exit code 1, a count", stream_mixed(2, 1)),
+    Case("half are foreign", "pose", "exit code 1, empty cells", pose_mixed),
+    Case("half are foreign", "unshear", "exit code 1, no pictures", unshear_mixed),
+    Case("noise, force", "predict", "an answer, no confidence", force_noise),
+    Case("noise", "codes", "NaN", encode_noise),
     Case("a folder of noise", "unshear", "refused", refuse_folder("unshear", "noise")),
     Case("a folder of black", "unshear", "refused", refuse_folder("unshear", "black")),
     Case("a folder of halves", "pose", "refused", refuse_folder("pose", "half covered")),
