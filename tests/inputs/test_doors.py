@@ -236,6 +236,23 @@ def export_foreign(name):
     return check
 
 
+def export_contacts(given):
+    """The file is as sure of contacts as `predict`: slides, deep ones, pins that leave the view."""
+    rest = given.standard.rest
+    offset = rest - rest.mean(axis=0)
+    push = np.exp(-np.square(offset).sum(-1, keepdims=True) / 400)
+    across, up = np.array([[1, 0], [0, 1]])
+    deep = rest + 0.12 * push * offset + 3 * push * across
+    moved = (rest + 4 * across, rest - 9 * up, deep)
+    images = np.stack([draw_pins(pins) for pins in (rest, *moved)])
+    sure, confidence, pose, _ = run_exported("standard", "image", images)
+    expected = given.standard.predict(images)
+    assert sure.all() and not expected.rejection.any()
+    np.testing.assert_allclose(confidence, expected.confidence, atol=0.03)
+    poses = np.stack(list(expected.poses["unsheared"].values()), axis=1)
+    np.testing.assert_allclose(pose, poses, atol=0.01)
+
+
 def export_pins(change):
     """Give the exported `skin` pins as they are, some missing, and as `change` spoils them."""
 
@@ -411,6 +428,7 @@ FOREIGN = (
     *("dark pins", "off the middle"),
 )
 IMAGES = [
+    Case("contacts", "export", "those of `predict`", export_contacts),
     *(Case(name, "predict", UNSURE, predict_foreign(name)) for name in FOREIGN),
     *(Case(name, "export", UNSURE, export_foreign(name)) for name in (*FOREIGN, "0 and 1")),
     *(
