@@ -42,12 +42,13 @@ NEAREST = 6
 FAR_PX = 1e5  # no pin stands there
 TINY = np.float32(1e-6)
 FLOAT = 1  # of the types of ONNX
+Value = Any  # the output of a node: its name, or an array of JAX
 
 
 class Graph(Protocol):
     """What nodes are added to."""
 
-    def add(self, op: str, *inputs: Any, **attributes: Any) -> Any:
+    def add(self, op: str, *inputs: Value, **attributes: Value) -> Value:
         """Add a node of ONNX and return its output."""
 
 
@@ -63,18 +64,18 @@ class SensorCheck(NamedTuple):
 class JaxGraph:
     """Computes nodes at once instead of adding them."""
 
-    def add(self, op: str, *inputs: Any, **attributes: Any) -> Any:
+    def add(self, op: str, *inputs: Value, **attributes: Value) -> Value:
         """Compute a node."""
         return _JAX_OPS[op](*inputs, **attributes)
 
 
-def _pool(x: Any, kernel_shape: tuple[int, int], pads: tuple[int, ...]) -> Any:
+def _pool(x: Value, kernel_shape: tuple[int, int], pads: tuple[int, ...]) -> Value:
     pad = (pads[0], pads[0])
     window = (1, 1, *kernel_shape)
     return lax.reduce_window(x, -np.inf, lax.max, window, (1,) * 4, ((0, 0), (0, 0), pad, pad))
 
 
-_JAX_OPS: dict[str, Any] = {
+_JAX_OPS: dict[str, Value] = {
     "Add": jnp.add,
     "Sub": jnp.subtract,
     "Mul": jnp.multiply,
@@ -110,7 +111,7 @@ def make_sensor_check(rest: np.ndarray, size: int) -> SensorCheck:
     return check._replace(even_share=float(np.sum(even) / np.sum(peaks)))
 
 
-def add_image_plausibility(graph: Graph, check: SensorCheck, images: Any) -> Any:
+def add_image_plausibility(graph: Graph, check: SensorCheck, images: Value) -> Value:
     """Add the nodes from images (B, 1, S, S) of 0 and 1 to their plausibility (B,).
 
     It is 0 for images with other numbers, and for those with dark pins in white.
@@ -122,10 +123,10 @@ def add_image_plausibility(graph: Graph, check: SensorCheck, images: Any) -> Any
     columns = np.broadcast_to((across - middle[0])[None], (check.size, check.size))
     rows = np.broadcast_to((across - middle[1])[:, None], (check.size, check.size))
 
-    def total(values: Any) -> Any:
+    def total(values: Value) -> Value:
         return graph.add("ReduceSum", values, np.array([1, 2, 3]), keepdims=0)
 
-    def total_at(places: np.ndarray) -> Any:
+    def total_at(places: np.ndarray) -> Value:
         return total(graph.add("Mul", peaks, np.ascontiguousarray(places)))
 
     moments = _Moments(total_at(columns), total_at(rows), total_at(columns**2 + rows**2))
@@ -139,7 +140,7 @@ def add_image_plausibility(graph: Graph, check: SensorCheck, images: Any) -> Any
     return graph.add("Where", graph.add("And", is_binary, is_dark), plausibility, np.float32(0))
 
 
-def add_pin_plausibility(graph: Graph, check: SensorCheck, pins: Any) -> Any:
+def add_pin_plausibility(graph: Graph, check: SensorCheck, pins: Value) -> Value:
     """Add the nodes from pins (B, P, 2) px, NaN for missing ones, to their plausibility (B,)."""
     outside = graph.add("LessOrEqual", graph.add("Abs", pins), np.float32(FAR_PX))
     missing = graph.add("Sub", np.float32(1), graph.add("Cast", outside, to=FLOAT))
@@ -148,13 +149,13 @@ def add_pin_plausibility(graph: Graph, check: SensorCheck, pins: Any) -> Any:
     is_known = graph.add("GreaterOrEqual", known, np.float32(0.5))
     motion = graph.add("Where", is_known, graph.add("Sub", pins, check.rest), np.float32(0))
 
-    def total(values: Any, axis: int, keepdims: int = 0) -> Any:
+    def total(values: Value, axis: int, keepdims: int = 0) -> Value:
         return graph.add("ReduceSum", values, np.array([axis]), keepdims=keepdims)
 
-    def square(values: Any) -> Any:
+    def square(values: Value) -> Value:
         return total(graph.add("Mul", values, values), 2, 1)
 
-    def divide(values: Any, count: Any) -> Any:
+    def divide(values: Value, count: Value) -> Value:
         return graph.add("Div", values, graph.add("Max", count, np.float32(1)))
 
     rows = cKDTree(check.rest).query(check.rest, k=NEAREST + 1)[1][:, 1:]
@@ -176,7 +177,7 @@ def add_pin_plausibility(graph: Graph, check: SensorCheck, pins: Any) -> Any:
         total(graph.add("Gather", place, np.array([axis]), axis=2), 1) for axis in (0, 1)
     )
 
-    def flatten(values: Any) -> Any:  # (B, 1) -> (B,)
+    def flatten(values: Value) -> Value:  # (B, 1) -> (B,)
         return total(values, 1)
 
     moments = _Moments(flatten(column), flatten(row), flatten(total(square(place), 1)))
@@ -188,14 +189,14 @@ def add_pin_plausibility(graph: Graph, check: SensorCheck, pins: Any) -> Any:
 class _Moments(NamedTuple):
     """Sums over dots, (B,) each, of places px from the middle of the pins at rest."""
 
-    column: Any
-    row: Any
-    square: Any
+    column: Value
+    row: Value
+    square: Value
 
 
 def _add_plausibility(
-    graph: Graph, check: SensorCheck, count: Any, even: Any, moments: _Moments
-) -> Any:
+    graph: Graph, check: SensorCheck, count: Value, even: Value, moments: _Moments
+) -> Value:
     some = graph.add("Max", count, np.float32(1))
     column, row, square = (graph.add("Div", each, some) for each in moments)
     shift = graph.add("Add", graph.add("Mul", column, column), graph.add("Mul", row, row))
@@ -211,7 +212,7 @@ def _add_plausibility(
         "middle": graph.add("Div", graph.add("Sqrt", shift), np.float32(check.size)),
         "regular": graph.add("Max", lacking, np.float32(0)),
     }
-    logit: Any = np.float32(LOGISTIC_BIAS)
+    logit: Value = np.float32(LOGISTIC_BIAS)
     for name, difference in differences.items():
         factor = np.float32(LOGISTIC_WEIGHTS[name] / ALLOWED_DIFFERENCE[name] ** 2)
         cost = graph.add("Mul", graph.add("Mul", difference, difference), factor)
@@ -219,7 +220,7 @@ def _add_plausibility(
     return graph.add("Sigmoid", logit)
 
 
-def _add_peaks(graph: Graph, check: SensorCheck, images: Any) -> Any:
+def _add_peaks(graph: Graph, check: SensorCheck, images: Value) -> Value:
     """Add the nodes from images to maps (B, 1, S, S) that are 1 at the peak of each dot, else 0."""
     across = _measure_distances(check.size) / (BLUR * check.spacing)
     blur = np.round(LEVELS * np.exp(-(across**2) / 2))
@@ -242,7 +243,7 @@ def _find_inside(check: SensorCheck) -> np.ndarray:
     return np.asarray(np.hypot(columns - middle[0], rows - middle[1]) <= reach)
 
 
-def _add_even_peaks(graph: Graph, check: SensorCheck, peaks: Any) -> Any:
+def _add_even_peaks(graph: Graph, check: SensorCheck, peaks: Value) -> Value:
     near, around = (
         _add_both_sides(graph, _measure_distances(check.size) <= limit * check.spacing, peaks)
         for limit in EVEN_RANGE
@@ -259,7 +260,7 @@ def _measure_distances(size: int) -> np.ndarray:
     return np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
 
 
-def _add_both_sides(graph: Graph, matrix: np.ndarray, images: Any) -> Any:
+def _add_both_sides(graph: Graph, matrix: np.ndarray, images: Value) -> Value:
     """Add the nodes of a symmetric matrix on rows and columns: a sum over a window of each pixel.
 
     A convolution takes longer here.
