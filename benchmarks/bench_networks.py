@@ -21,7 +21,9 @@ import numpy as np
 from benchmarks.multiplications import TARGETS, count_multiplications, count_posenet_multiplications
 from benchmarks.training_steps import init_variables, make_noise_images, make_timed_step
 from jaxunshear.apps.export.parts import ExportedModel
+from jaxunshear.apps.export.sensor_check import make_sensor_check
 from jaxunshear.config.networks import DISENTANGLED, POSENET, PoseNet, UnshearNet
+from jaxunshear.config.sensor import TACTIP_331, Camera, Preprocess
 from jaxunshear.config.training import Training
 from jaxunshear.config.types import raise_first_problem
 from jaxunshear.environment import FAST, PLAIN, keep_freed_memory
@@ -31,6 +33,7 @@ from jaxunshear.inference.forward import UNSHEARED, jit_for_inference, make_forw
 from jaxunshear.models import posenet, unshearnet
 from jaxunshear.models.fast import compiled_kernels
 from jaxunshear.models.layer_choice import use_layers
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.progress import Progress
 from jaxunshear.training.checkpoint import TrainedNetwork
 from jaxunshear.training.tasks import make_unshear_task
@@ -221,12 +224,13 @@ def _make_exported_work(net: UnshearNet, pose_net: PoseNet, image: np.ndarray) -
             f"onnxruntime is timed on the CPU alone, and JAX is on {jax.default_backend()}"
         )
     variables = jax.device_get(_init_stream_variables(net, pose_net))
+    lattice = compute_rest_lattice(TACTIP_331, Camera(), Preprocess(size=net.size))
     parts = ExportedModel(
         TrainedNetwork(net, variables[DISENTANGLED], ()),
         TrainedNetwork(pose_net, variables[POSENET], TARGETS),
         UNSHEARED,
         None,
-        net.size,
+        make_sensor_check(lattice.rest, net.size),
     )
     run = make_onnx_runner(build_onnx(parts, 1, None, {}), parts)
     return lambda: run(image[None]) is None

@@ -38,13 +38,14 @@ static int run(const char* file) {
     std::vector<char> frame(size);
     const auto memory = Ort::MemoryInfo::CreateCpu(OrtArenaAllocator, OrtMemTypeDefault);
     const char* const inputs[] = {input.get()};
-    const char* const outputs[] = {"pose"};
+    const char* const outputs[] = {"pose", "confidence"};
     while (std::fread(frame.data(), 1, size, stdin) == size) {  // a camera's, on a robot
         const auto tensor = Ort::Value::CreateTensor(
             memory, frame.data(), size, shape.data(), shape.size(), given.GetElementType());
-        const auto found = session.Run(Ort::RunOptions{nullptr}, inputs, &tensor, 1, outputs, 1);
-        const float* const pose = found[0].GetTensorData<float>();
-        for (size_t i = 0; i < names.size(); ++i) std::printf("%s %.4f%c", names[i].c_str(), pose[i], i + 1 < names.size() ? ' ' : '\n');
+        const auto found = session.Run(Ort::RunOptions{nullptr}, inputs, &tensor, 1, outputs, 2);
+        const float* const pose = found[0].GetTensorData<float>();  // nan, with a confidence of 0, of a frame of no such sensor
+        for (size_t i = 0; i < names.size(); ++i) std::printf("%s %.4f ", names[i].c_str(), pose[i]);
+        std::printf("confidence %.4f\n", *found[1].GetTensorData<float>());
         std::fflush(stdout);
     }
     return 0;

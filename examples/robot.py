@@ -18,27 +18,36 @@ class Touch:
         self._session = onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"])
         known = self._session.get_modelmeta().custom_metadata_map
         self.names = known["names"].split(",")  # of what it reads, such as edge_mm, edge_deg
+        self._reason = known["not_sure"]  # of every frame that is not
         self._given = self._session.get_inputs()[0]
         self._dtype = np.uint8 if self._given.type == "tensor(uint8)" else np.float32
-        self.pose(np.zeros(self._given.shape[1:], self._dtype))  # the first call is slow
+        self.answer(np.zeros(self._given.shape[1:], self._dtype))  # the first call is slow
 
-    def pose(self, frame: np.ndarray) -> dict[str, float]:
-        """Of one frame, mm and deg by name. "unsheared" and, of images, "confidence" are asked for likewise."""
+    def answer(self, frame: np.ndarray) -> dict[str, float | str]:
+        """Of one frame, as a line of `jaxunshear stream`: mm and deg by name, and confidence; or why there is no pose.
+
+        "unsheared" is asked for likewise.
+        """
         if frame.shape != tuple(self._given.shape[1:]) or frame.dtype != self._dtype:
             raise SystemExit(
                 f"{frame.dtype} {frame.shape}: the model takes {self._given.type} {self._given.shape[1:]}"
             )
-        (poses,) = self._session.run(["pose"], {self._given.name: frame[None]})
-        return dict(zip(self.names, map(float, poses[0]), strict=True))
+        outputs = self._session.run(["pose", "confidence", "sure"], {self._given.name: frame[None]})
+        pose, confidence, sure = (output[0] for output in outputs)
+        if not sure:
+            return {"confidence": 0.0, "error": self._reason}
+        numbers = dict(zip(self.names, pose, strict=True)) | {"confidence": confidence}
+        return {name: round(float(number), 4) for name, number in numbers.items()}
 
 
 def main(model: str, source: str) -> None:
     touch = Touch(model)
     for number, frame in enumerate(np.load(source)):  # a camera's, on a robot
         came = time.perf_counter()
-        pose = touch.pose(frame)
-        spent = 1e3 * (time.perf_counter() - came)
-        print(json.dumps({"frame": number, "pose": pose, "ms": round(spent, 2)}), flush=True)
+        line = {"frame": number, "name": f"{source} {number}"} | touch.answer(frame)
+        if "error" not in line:
+            line["ms"] = round(1e3 * (time.perf_counter() - came), 3)
+        print(json.dumps(line), flush=True)
 
 
 if __name__ == "__main__":

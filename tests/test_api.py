@@ -94,11 +94,25 @@ def test_models_that_are_none_are_refused_by_name(tmp_path):
         load_model("skin").unshear(np.zeros((1, 128, 128), bool))
 
 
+def read_examples():
+    page = (Path(__file__).parents[1] / "docs" / "api.md").read_text()
+    return re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+
+
+def test_the_example_of_a_training_learns():
+    """The running statistics follow the batch, so that predictions are near the labels."""
+    _, example = read_examples()
+    names: dict = {}
+    exec(example, names)
+    assert float(names["loss"]) < 0.03
+    error = np.square(names["predicted"] - names["labels"]).mean()
+    assert error < 0.04 < np.var(names["labels"])
+
+
 @pytest.mark.long
 def test_the_example_of_uses_runs(capsys):
     """Run two steps of its trajectories."""
-    page = (Path(__file__).parents[1] / "docs" / "api.md").read_text()
-    (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    example, _ = read_examples()
     names: dict = {}
     task = 'ServoTask("disk", starts=1, depth_mm=2.0'
     assert example.count(task) == 1

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from jaxunshear.cli.models import choose_exit_code
 from jaxunshear.cli.program import (
     DATA,
     Command,
@@ -59,8 +60,7 @@ def handle_stages(arguments: argparse.Namespace, command: str) -> int:
         arguments.file = folder
         experiment = _load_finished_experiment(arguments)
         if arguments.recordings:
-            _score_recordings(experiment, arguments, command)
-            return 0
+            return _score_recordings(experiment, arguments, command)
     else:
         experiment = _apply_recordings(read_base(arguments, arguments.fields), arguments)
         validate(experiment)
@@ -156,7 +156,8 @@ def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
     return replace(experiment, name=folder.name)
 
 
-def _score_recordings(experiment: Experiment, arguments: argparse.Namespace, command: str) -> None:
+def _score_recordings(experiment: Experiment, arguments: argparse.Namespace, command: str) -> int:
+    """Score a run on other recordings; return 1 if half of the contacts or more are left out."""
     from jaxunshear.evaluation.measurements import build_measurements
     from jaxunshear.evaluation.recorded_evaluation import score_recordings
     from jaxunshear.evaluation.recorded_results import format_table
@@ -172,6 +173,9 @@ def _score_recordings(experiment: Experiment, arguments: argparse.Namespace, com
     print(format_table(results))
     if arguments.json:
         write_record(arguments.json, build_measurements(results))
+    counts = results.counts
+    used = (counts.known_taps or 0) + (counts.test_taps or 0) + (counts.test_poses or 0)
+    return choose_exit_code(used, (counts.unread_taps or 0) + (counts.test_unsure or 0))
 
 
 def _read_sweep(arguments: argparse.Namespace, fields: Sequence[str]) -> Sweep:

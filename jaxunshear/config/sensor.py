@@ -188,6 +188,8 @@ def get_sensor(name: str) -> Sensor:
 
 def check_sensor(sensor: Sensor) -> None:
     """Raise UserError, naming the field, for the first value that no sensor can have."""
+    if not isinstance(sensor, Sensor):
+        raise UserError(f"{sensor!r} is no Sensor: `get_sensor` gives the one of a name")
     raise_first_problem(sensor, f"sensor '{sensor.name}'")
 
 

@@ -130,6 +130,11 @@ def check_finished(folder: Path) -> None:
         )
 
 
+def is_released(model: Path) -> bool:
+    """Return whether a folder holds released weights, which keep no results."""
+    return any(model.glob("*/weights.npz"))
+
+
 def load_settings(model: Path) -> Experiment:
     """Load the experiment that a folder was made with. Raises UserError."""
     file = model / "experiment.json"

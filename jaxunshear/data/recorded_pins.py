@@ -67,6 +67,11 @@ def find_pins(
     `without` or else those that no image shows, have no place. Raises `UserError` if nothing can be
     read or pins are not this layout's.
     """
+    if not isinstance(path, str | Path):
+        raise UserError(
+            f"find_pins takes the path of an image or a folder, not {type(path).__name__}: "
+            "of an image in memory `detect_pin_centres` of jaxunshear.perception.pin_detection"
+        )
     last = len(lattice.flat if isinstance(lattice, MarkerLayout) else lattice.rest) - 1
     if without and not 0 <= min(without) <= max(without) <= last:
         numbers = ",".join(map(str, without))

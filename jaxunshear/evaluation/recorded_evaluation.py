@@ -42,7 +42,9 @@ from jaxunshear.evaluation.recorded_results import (
 from jaxunshear.evaluation.result_tables import finish_results
 from jaxunshear.evaluation.score import TARGET_KIND
 from jaxunshear.files import read_object
+from jaxunshear.inference.readers import judge_batch
 from jaxunshear.models.modality import PINS, Modality, get_modality
+from jaxunshear.perception.sensor_check import measure_sensor_appearance
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results
 from jaxunshear.training.checkpoint import check_finished, read_targets
@@ -122,7 +124,8 @@ def score_recordings(
     stored = RecordedSet(settings, unstored, targets=experiment.targets)
     targets = locate_targets(read_targets(run_dir / experiment.networks[-1]), stored.columns)
     unseen = dataclasses.replace(experiment, paired=settings)
-    test = _choose_test(unseen, stored, targets, run_dir)
+    appearance = measure_sensor_appearance(frame.rest, frame.size)
+    test = _choose_test(unseen, stored, targets, run_dir)._replace(appearance=appearance)
     scorer = _load_scorer(unseen, run_dir, stored, targets)
     scores = _score_contacts(scorer, get_modality(unseen), test)
     results = build_recorded_results(unseen, stored, targets, scores, test)
@@ -197,45 +200,72 @@ def _score_contacts(
 ) -> RecordedScores:
     """Score the slides and the taps of a split.
 
-    Networks over pins are scored on those contacts alone whose pins were identified.
-    Raises UserError if no slide and no tap is labelled, or identified.
+    Networks over pins are scored on contacts whose pins were identified, networks over images, on
+    other recordings, on contacts that show the model's sensor. Raises UserError if no slide and no
+    tap is left that has a label.
     """
     slides = taps = None
     if test.slides is not None:
-        slides = _score_split(scorer, modality, test.slides, split, test.paired)
+        rows = _select_understood(modality, test, test.slides, split, test.paired)
+        slides = _score_rows(scorer, modality, test.slides, split, rows, test.paired)
     if slides is not None:
         slides = slides._replace(scores=_select_slide_scores(slides.scores, test.paired))
     if test.taps is not None:
-        taps = _score_split(scorer, modality, test.taps, split)
+        rows = _select_understood(modality, test, test.taps, split, None)
+        taps = _score_rows(scorer, modality, test.taps, split, rows)
     if taps is not None:
         prefixes = ("pose/tap/", *(f"read/{name}/tap/" for name in scorer.estimators))
         chosen = {name: score for name, score in taps.scores.items() if name.startswith(prefixes)}
         taps = taps._replace(scores=chosen)
     if slides is None and taps is None:
-        requirement = " and pins that are identified" if modality.needs_identified_pins else ""
-        raise UserError(f"nothing can be scored: no {split} slide or tap has a label{requirement}")
+        pins = (
+            "pins that are identified" if modality.needs_identified_pins else "the right sensor's"
+        )
+        raise UserError(f"nothing can be scored: no {split} slide or tap has a label and {pins}")
     return RecordedScores(slides, taps)
 
 
-def _score_split(
-    scorer: Scorer, modality: Modality, reader: Reader, split: str, paired: bool | None = None
-) -> ContactScores | None:
-    """Score the contacts of a split that networks can be given; None if there are none.
+def _name_sources(modality: Modality, paired: bool | None) -> dict[str, str]:
+    """Name the field of a reader by the field of a pair that it stands for.
 
     `paired` says whether slides have partners, and is None for taps. A slide without partner, and a
     tap, stand for both contacts of a pair.
     """
-    # the field of the reader, by the field of a pair that it stands for
     sources: dict[str, str] = {}
     for each in (modality, PINS):
         alone = each.single if paired is None else each.sheared
         sources |= {each.canonical: each.canonical if paired else alone, each.sheared: alone}
-    rows = np.arange(reader.length(split))
+    return sources
+
+
+def _select_understood(
+    modality: Modality, test: RecordedTest, reader: Reader, split: str, paired: bool | None
+) -> np.ndarray:
+    """Select the rows of a split that the networks answer elsewhere, too."""
+    sources, rows = _name_sources(modality, paired), np.arange(reader.length(split))
     if modality.needs_identified_pins:
         fields = tuple(dict.fromkeys(sources[name] for name in PINS.pair))
         stored = reader.take(split, rows, fields)
         identified = [np.isfinite(pins).any(axis=(1, 2)) for pins in stored.values()]
-        rows = rows[np.all(identified, axis=0)]
+        return rows[np.all(identified, axis=0)]
+    if test.appearance is None or not len(rows):
+        return rows
+    field = sources[modality.sheared]
+    images = reader.take(split, rows, (field,))[field][..., 0]
+    reasons, _ = judge_batch(images, np.ones(len(images), bool), test.appearance, force=False)
+    return rows[reasons == ""]
+
+
+def _score_rows(
+    scorer: Scorer,
+    modality: Modality,
+    reader: Reader,
+    split: str,
+    rows: np.ndarray,
+    paired: bool | None = None,
+) -> ContactScores | None:
+    """Score rows of a split; None if there are none. `paired` as in `_name_sources`."""
+    sources = _name_sources(modality, paired)
     if not len(rows):
         return None
     labels = TAP_LABELS if paired is None else SLIDE_LABELS

@@ -23,6 +23,7 @@ from jaxunshear.evaluation.result_tables import (
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.metrics.errors import measure_pin_errors
 from jaxunshear.models.modality import PINS, Modality, get_modality
+from jaxunshear.perception.sensor_check import SensorAppearance
 from jaxunshear.results.run import Counts, Pairing, Recordings, Results, Scores, Tables, TestData
 from jaxunshear.text_table import format_text_table
 
@@ -53,6 +54,8 @@ class RecordedTest(NamedTuple):
     taps: Reader | None
     paired: bool
     data: TestData
+    # of the model's sensor, which images of other recordings must show
+    appearance: SensorAppearance | None = None
 
 
 class RecordedScores(NamedTuple):

@@ -17,6 +17,7 @@ from jaxunshear.data.sensor_frame import SensorFrame, to_image_px
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED, run_in_batches
 from jaxunshear.perception.drawing import draw_dots
+from jaxunshear.perception.grey import ONE_BYTE
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import measure_motions, track_images
 from jaxunshear.perception.sensor_check import (
@@ -149,7 +150,7 @@ def check_images(images: np.ndarray, size: int) -> np.ndarray:
         )
     if images.dtype == bool:
         return images.astype(np.uint8) * np.uint8(255)
-    if images.dtype != np.uint8 or not np.isin(images, (0, 255)).all():
+    if images.dtype != np.uint8 or ((images + ONE_BYTE) > 1).any():
         raise UserError(
             f"images of {images.dtype}: this model takes uint8 of 0 and 255 alone, or bool; "
             "`prepare` makes them"

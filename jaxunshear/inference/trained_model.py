@@ -55,6 +55,7 @@ from jaxunshear.inference.readers import (
     judge_batch,
     make_pin_reader,
 )
+from jaxunshear.inference.steady_view import make_steady_view
 from jaxunshear.models.posenet import unscale_outputs
 from jaxunshear.models.registry import encode
 from jaxunshear.models.weights import Tree
@@ -70,7 +71,7 @@ PREFERRED_POSENETS = (POSENET, POSENET_SHEARED)
 _compute_confidence = jax.jit(jax.vmap(compute_confidence))
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class TrainedModel:
     """Networks for binary images (B, S, S), uint8 of {0, 255} or bool, from `prepare`.
 
@@ -86,7 +87,10 @@ class TrainedModel:
     frame: SensorFrame | None = None
     force: bool = False  # use images that are not of the model's sensor
     with_sheared_poses: bool = True  # `predict` poses of the images as they are, too
-    _loaded: dict[str, TrainedNetwork] = field(default_factory=dict, init=False, repr=False)
+    _loaded: dict[str, TrainedNetwork] = field(default_factory=dict, init=False)
+
+    def __repr__(self) -> str:
+        return f"TrainedModel({self.folder}: {', '.join(self.networks)})"
 
     @property
     def sensor(self) -> Sensor:
@@ -147,12 +151,15 @@ class TrainedModel:
         paired = self.require_simulation("this")
         return compute_rest_lattice(self.sensor, paired.camera, paired.preprocess)
 
+    @property
+    def rest(self) -> np.ndarray:
+        """Where untouched pins stand in its prepared images, (P, 2) px."""
+        return self.frame.rest if self.source.has_frame and self.frame else self.lattice.rest
+
     @cached_property
     def appearance(self) -> SensorAppearance:
         """How its sensor appears in prepared images."""
-        if self.source.has_frame and self.frame:
-            return measure_sensor_appearance(self.frame.rest, self.frame.size)
-        return measure_sensor_appearance(self.lattice.rest, self.experiment.paired.preprocess.size)
+        return measure_sensor_appearance(self.rest, self.experiment.paired.preprocess.size)
 
     @cached_property
     def reader(self) -> Reader:
@@ -183,6 +190,11 @@ class TrainedModel:
         """The crop of the frames; None if each folder has its own."""
         return self.frame.view if self.frame else None
 
+    @cached_property
+    def find_view(self) -> Callable[[np.ndarray], View]:
+        """A function from a camera's frames, one by one, to the view of those so far."""
+        return make_steady_view(self.experiment.paired.preprocess)
+
     @property
     def preprocess(self) -> Preprocess:
         """How frames are prepared."""
@@ -199,20 +211,17 @@ class TrainedModel:
         """Turn a camera frame into a binary image (S, S) uint8.
 
         The frame is (H, W) or (H, W, channels), of any number type. Colours are red, green, blue;
-        OpenCV's are blue, green, red. Warns with a `Note` if these networks do not suit a camera:
-        they were trained on simulated contacts of one sensor alone, so their predictions for other
-        frames mean little. Raises UserError.
+        OpenCV's are blue, green, red. The crop is that of the training, or the median over this
+        model's first frames, as `stream` has it. Warns with a `Note` if these networks learnt from
+        one simulated sensor, so that their predictions mean little. Raises UserError.
         """
         if not self.source.suits_recordings:
             warnings.warn(self.source.describe(), Note, stacklevel=2)
-        return prepare_frame(self.preprocess, frame, self.view or View())
+        return prepare_frame(self.preprocess, frame, self.view or self.find_view(frame))
 
     def unshear(self, images: np.ndarray) -> np.ndarray:
-        """Predict the images of taps at the same poses, (B, S, S) float32 in [0, 1].
-
-        Raises UserError if the model has no such network.
-        """
-        unsheared = self._run_in_batches(images, self.predict).unsheared
+        """Predict images of taps, (B, S, S) in [0, 1]. Raises UserError without such a network."""
+        unsheared = self.predict(images).unsheared
         if unsheared is None:
             raise UserError(
                 f"{self.folder} holds no network that unshears: "
@@ -221,13 +230,12 @@ class TrainedModel:
         return unsheared
 
     def pose(self, images: np.ndarray) -> Poses:
-        """Predict poses by kind of input and by quantity, (B,) each.
+        """Predict poses, mm and deg by kind of input and by quantity, (B,) each.
 
-        They are in mm and deg, in the frame of the training labels. Kinds are "as_recorded" and
-        "unsheared", and "learnt" if there is a PoseNet of slides. Raises UserError if the model has
-        no PoseNet.
+        Kinds are "as_recorded" and "unsheared", and "learnt" if there is a PoseNet of slides.
+        Raises UserError if the model has no PoseNet.
         """
-        poses = self._run_in_batches(images, self.predict).poses
+        poses = self.predict(images).poses
         if not poses:
             raise UserError(f"{self.folder} holds no PoseNet: train posenet, or load another model")
         return poses
@@ -269,7 +277,13 @@ class TrainedModel:
         return {name: np.asarray(v) for name, v in unscale_outputs(outputs, targets).items()}
 
     def predict(self, images: np.ndarray) -> Predictions:
-        """Unshear one batch of images (B, S, S) uint8 of {0, 255}, and predict their poses."""
+        """Unshear and predict poses, with a confidence, or a reason why there are none."""
+        predictions = self._run_in_batches(images, self._predict_batch)
+        for kind, pose in predictions.poses.items():  # JAX has sorted the quantities by name
+            predictions.poses[kind] = {name: pose[name] for name in self.targets if name in pose}
+        return predictions
+
+    def _predict_batch(self, images: np.ndarray) -> Predictions:
         inputs = self.reader.read(images)
         reasons, plausibility = judge_batch(images, inputs.identified, self.appearance, self.force)
         unsheared, poses = jax.device_get(self._forward(scale_inputs(inputs.values)))
@@ -286,9 +300,6 @@ class TrainedModel:
             )
         confidence = np.where(reasons == "", confidence, 0.0)
         unsheared, poses, pins = jax.tree.map(keep_accepted_rows, outputs)
-        # JAX has sorted the quantities by name
-        for kind, pose in poses.items():
-            poses[kind] = {name: pose[name] for name in self.targets if name in pose}
         return Predictions(unsheared, poses, pins, reasons, confidence)
 
     def compile(self, batch: int) -> None:

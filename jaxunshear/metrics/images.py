@@ -25,6 +25,7 @@ WINDOW = 11  # pixels
 SIGMA = 1.5  # pixels
 C1, C2 = 0.01**2, 0.03**2  # of a dynamic range of 1
 WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # of the scales, finest first
+OVERSHOOT = 0.5  # of floats beyond [0, 1]: more, and they are of another range
 _NEAR_ZERO = 1e-9  # a mean contrast-structure below this is the rounding of a spatial mean
 
 
@@ -51,7 +52,8 @@ def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Float[Array, "B"]:
     a 2x2 mean. Values and gradients of finite images are finite; if a clamped factor makes the
     value 0, the gradient is 0, too. An image with a NaN scores NaN.
 
-    Raises `ValueError` for shapes that differ, integers, or an image too small for `scales`.
+    Raises `ValueError` for shapes that differ, integers, floats that are clearly not in [0, 1] (of
+    arrays, not while JAX traces), or an image too small for `scales`.
     """
     a, b = _check_images(a, b)
     if not 1 <= scales <= len(WEIGHTS):
@@ -100,7 +102,21 @@ def _check_images(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
                 f"images in [0, 1] are needed, not {x.dtype}: divide 8-bit images by 255 first"
             )
     dtype = np.result_type(*(np.promote_types(x.dtype, np.float32) for x in (a, b)))
-    return a.astype(dtype), b.astype(dtype)
+    a, b = a.astype(dtype), b.astype(dtype)
+    _check_range(a)
+    _check_range(b)
+    return a, b
+
+
+def _check_range(x: Array) -> None:
+    if isinstance(x, jax.core.Tracer) or not x.size:
+        return
+    values = np.asarray(x)
+    low, high = (float(ends.reduce(values, axis=None)) for ends in (np.fmin, np.fmax))  # of numbers
+    if low < -OVERSHOOT or high > 1 + OVERSHOOT:
+        raise ValueError(
+            f"images in [0, 1] are needed, not of {low:g} to {high:g}: divide by the largest level"
+        )
 
 
 @partial(jax.jit, static_argnames="scales")

@@ -164,19 +164,25 @@ _MODULES: dict[type, Callable[[Net, int, int], tuple[nn.Module, int]]] = {
 
 
 def init(
-    net: PinNet, rest: Float[ArrayLike, "P 2"], spread: float | Array, key: Array, outputs: int = 0
+    net: PinNet,
+    rest: Float[ArrayLike, "P 2"],
+    spread: float | Array,
+    key: Array,
+    outputs: int = 0,
+    grid: ArrayLike | None = None,
 ) -> Variables:
     """Make fresh variables for pins that rest at `rest` px.
 
     Args:
         spread: how far pins move, root mean square in px.
         outputs: how many the pose targets have together, for all but PinUnshear.
+        grid: `make_grid(rest)`, if it is known.
     """
     module, width = _MODULES[type(net)](net, int(np.size(rest)), outputs)
     constants = {"rest": jnp.asarray(rest, jnp.float32), "spread": jnp.asarray(spread, jnp.float32)}
     inputs = [jnp.zeros((1, width))]
     if net.convolved:
-        constants["grid"] = jnp.asarray(make_grid(rest))
+        constants["grid"] = jnp.asarray(make_grid(rest) if grid is None else grid)
         inputs.append(constants["grid"])
     params = module.init(key, *inputs)["params"]
     return {"params": params, "batch_stats": constants}

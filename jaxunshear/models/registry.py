@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
@@ -20,7 +21,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.models import pin_networks, posenet, unet, unshearnet
 from jaxunshear.models.modality import IMAGES, PINS, Modality
 from jaxunshear.models.reconstruction import Reconstruction
-from jaxunshear.models.weights import Net, Tree, Variables
+from jaxunshear.models.weights import Net, Tree, Variables, get_module, list_leaves
 
 
 class InitFacts(NamedTuple):
@@ -29,6 +30,7 @@ class InitFacts(NamedTuple):
     outputs: int = 0  # of all pose targets together, K
     rest: ArrayLike = np.zeros((0, 2), np.float32)  # (P, 2) px: the untouched pins
     spread: float | Array = 1.0  # how far pins move, root mean square in px
+    grid: ArrayLike | None = None  # the weights of `make_grid`, which takes seconds, if known
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class NetworkFunctions:
 
 
 def _init_pin_network(net: networks.PinNet, facts: InitFacts, key: Array) -> Variables:
-    return pin_networks.init(net, facts.rest, facts.spread, key, facts.outputs)
+    return pin_networks.init(net, facts.rest, facts.spread, key, facts.outputs, facts.grid)
 
 
 _FUNCTIONS: dict[type, NetworkFunctions] = {
@@ -208,11 +210,26 @@ def has_shear_code(net: Net) -> bool:
     return get_functions(net).has_shear_code(net)
 
 
-def init_like(net: Net, variables: Variables, key: Array) -> Variables:
-    """Make fresh variables for the network that unshears and has `variables`."""
+def init_like(net: Net, variables: Variables, key: Array, outputs: int = 0) -> Variables:
+    """Make fresh variables for the network that has `variables`; `outputs` are those of poses."""
     constants = variables.get("batch_stats", {})
-    facts = {name: constants[name] for name in ("rest", "spread") if name in constants}
-    return get_functions(net).init(net, InitFacts(**facts), key)
+    facts = {name: constants[name] for name in InitFacts._fields if name in constants}
+    return get_functions(net).init(net, InitFacts(outputs, **facts), key)
+
+
+def find_misfit(net: Net, variables: Variables, outputs: int) -> str:
+    """Say which array is not of the shape that the settings ask for; empty if all are.
+
+    Released weights may lack modules, but no part of one.
+    """
+    fresh = jax.eval_shape(lambda key: init_like(net, variables, key, outputs), jax.random.key(0))
+    found, expected = list_leaves(variables), list_leaves(fresh)
+    modules = {get_module(name) for name in found}
+    for name in {name for name in expected if get_module(name) in modules} | found.keys():
+        here, there = (tree[name].shape if name in tree else None for tree in (found, expected))
+        if here != there:
+            return f"{name} is {here or 'missing'}, not {there or 'of this network'}"
+    return ""
 
 
 def _require(function: Callable[..., Tree] | None) -> Callable[..., Tree]:

@@ -28,6 +28,11 @@ def list_leaves(tree: Tree) -> dict[str, Any]:
     return {name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
 
 
+def get_module(name: str) -> str:
+    """Return the module that a leaf's dotted path is of: "params.E" of the one above."""
+    return ".".join(name.split(".")[:2])
+
+
 def has_part(variables: Variables, part: str) -> bool:
     """Return whether these weights hold `part` of a network; note a missing shear code."""
     has = part in variables["params"]

@@ -28,7 +28,8 @@ from jaxunshear.config.serialization import OLD_FILES, add_version, remove_versi
 from jaxunshear.config.targets import Targets, from_json
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
-from jaxunshear.models.registry import find_settings_class
+from jaxunshear.models.posenet import count_outputs
+from jaxunshear.models.registry import find_misfit, find_settings_class
 from jaxunshear.models.weights import Net, Variables, list_leaves
 
 State = TypeVar("State")
@@ -172,9 +173,9 @@ def _read_weights(path: Path) -> dict[str, np.ndarray]:
         return arrays
     except files.BROKEN_NPZ as error:
         files.raise_machine_error(path, error)
-        raise UserError(
-            f"{path} is damaged ({get_first_line(error)}): install or copy these weights again"
-        ) from error
+        reason = files.explain_no_content(path.read_bytes()) or get_first_line(error)
+        remedy = "install or copy these weights again"
+        raise UserError(f"{path} is damaged ({reason}): {remedy}") from error
 
 
 def _nest(arrays: Mapping[str, np.ndarray]) -> Json:
@@ -241,19 +242,13 @@ def _read_model(path: Path) -> Json:
 
 
 def read_slides(folder: Path) -> Targets:
-    """Read which slide targets the shear code of the network in `folder` has learnt, if any.
-
-    Raises UserError.
-    """
+    """Read the slide targets of a network's shear code, if any. Raises UserError."""
     path = Path(folder) / MODEL
     return from_json(files.read_object(path).get("slides", []), str(path))
 
 
 def read_targets(folder: Path) -> Targets:
-    """Read the pose targets that the network in `folder` has learnt, if any, from model.json.
-
-    Raises UserError.
-    """
+    """Read the pose targets that the network in `folder` has learnt, if any. Raises UserError."""
     path = Path(folder) / MODEL
     stored = files.read_object(path)
     if "targets" not in stored and stored.get("kind") != "posenet":
@@ -347,4 +342,7 @@ class TrainedNetwork(NamedTuple):
 def load_network(folder: Path) -> TrainedNetwork:
     """Load a network from its folder. Raises UserError if it is missing, damaged or unfinished."""
     check_finished(folder)
-    return TrainedNetwork(read_net(folder), load_best(folder), read_targets(folder))
+    net, variables, targets = read_net(folder), load_best(folder), read_targets(folder)
+    if misfit := find_misfit(net, variables, count_outputs(targets)):
+        raise UserError(f"{folder}: its weights do not fit its {MODEL} ({misfit}): copy both again")
+    return TrainedNetwork(net, variables, targets)

@@ -29,6 +29,7 @@ from jaxunshear.files import Json, write_bytes
 from jaxunshear.inference.trained_model import TrainedModel, load_model
 from jaxunshear.models import layer_choice
 from jaxunshear.output_checks import check_new_folder, check_outside
+from jaxunshear.perception.sensor_check import FOREIGN_REASON
 
 if TYPE_CHECKING:
     from jaxunshear.apps.export.onnx_graph import ExportCamera
@@ -157,6 +158,7 @@ def _make_metadata(
         "names": ",".join(names),
         "units": ",".join(get_unit(name) for name in names),
         "pose_of": parts.method,
+        "not_sure": FOREIGN_REASON,
         "frame_of_poses": model.source.pose_frame,
         "learnt": model.source.describe(),
         "preprocess": json.dumps(asdict(model.experiment.paired.preprocess)),

@@ -3,12 +3,13 @@
 import numpy as np
 import onnxruntime
 
-from jaxunshear.apps.export import networks, onnx_graph
-from jaxunshear.apps.export.onnx_graph import BYTE, FLOAT, ExportCamera, OnnxGraph
+from jaxunshear.apps.export import networks, onnx_graph, sensor_check
+from jaxunshear.apps.export.onnx_graph import BOOL, BYTE, FLOAT, ExportCamera, OnnxGraph
 from jaxunshear.apps.export.parts import ExportedModel, Run
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.files import Json
 from jaxunshear.inference.forward import UNSHEARED
+from jaxunshear.perception.sensor_check import MIN_PLAUSIBILITY
 
 
 def build_onnx(
@@ -34,22 +35,35 @@ def build_onnx(
         inputs = name
     if images:
         inputs = graph.add("Unsqueeze", inputs, np.array([1]))
+    if images:
+        confidence = sensor_check.add_image_plausibility(graph, parts.check, inputs)
+    else:
+        confidence = sensor_check.add_pin_plausibility(graph, parts.check, inputs)
+    sure = graph.add("GreaterOrEqual", confidence, np.float32(MIN_PLAUSIBILITY))
+    graph.add_output("sure", sure, (count,), BOOL)
     unsheared = inputs
     if parts.unshear_network is not None:
         net, variables, _ = parts.unshear_network
         unsheared = networks.add_network(graph, net, variables, inputs)
         flat = graph.add("Squeeze", unsheared, np.array([1])) if images else unsheared
-        graph.add_output("unsheared", flat, (count, *parts.shape))
+        by_place = graph.add("Unsqueeze", sure, np.array([1, 2]))
+        graph.add_output("unsheared", _keep(graph, by_place, flat), (count, *parts.shape))
         if images:
-            graph.add_output("confidence", _add_confidence(graph, flat), (count,))
+            confidence = graph.add("Mul", confidence, _add_confidence(graph, flat))
     if parts.pose_network is not None:
         pose_inputs = unsheared if parts.method == UNSHEARED else inputs
         net, variables, targets = parts.pose_network
         outputs = networks.add_network(graph, net, variables, pose_inputs)
         pose = networks.add_pose(graph, targets, outputs)
-        graph.add_output("pose", pose, (count, len(targets)))
+        by_row = graph.add("Unsqueeze", sure, np.array([1]))
+        graph.add_output("pose", _keep(graph, by_row, pose), (count, len(targets)))
+    graph.add_output("confidence", graph.add("Where", sure, confidence, np.float32(0)), (count,))
     model = graph.build(name, (count, *shape), BYTE if images else FLOAT, metadata)
     return bytes(model.SerializeToString())
+
+
+def _keep(graph: OnnxGraph, sure: str, values: str) -> str:
+    return graph.add("Where", sure, values, np.float32(np.nan))
 
 
 def _add_confidence(graph: OnnxGraph, images: str) -> str:

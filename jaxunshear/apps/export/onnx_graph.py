@@ -29,7 +29,7 @@ from jaxunshear.perception.preprocess import (
 
 # What runtimes of 2022 and later read: LayerNormalization came with it.
 OPSET, IR_VERSION = 17, 8
-FLOAT, BYTE = TensorProto.FLOAT, TensorProto.UINT8
+FLOAT, BYTE, BOOL = TensorProto.FLOAT, TensorProto.UINT8, TensorProto.BOOL
 Shape = Sequence[int | str]
 CHECKED_FRAMES = 8  # frames on which the nodes are compared
 

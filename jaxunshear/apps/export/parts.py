@@ -7,9 +7,17 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxunshear.apps.export.sensor_check import (
+    JaxGraph,
+    SensorCheck,
+    add_image_plausibility,
+    add_pin_plausibility,
+    make_sensor_check,
+)
 from jaxunshear.config.networks import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.config.targets import Targets
 from jaxunshear.errors import UserError
@@ -24,6 +32,8 @@ from jaxunshear.inference.forward import (
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models import posenet
 from jaxunshear.models.registry import predict, unshear
+from jaxunshear.perception.drawing import draw_dots
+from jaxunshear.perception.sensor_check import MIN_PLAUSIBILITY, MIN_SPACING_PX
 from jaxunshear.training.checkpoint import TrainedNetwork
 
 Run = Callable[[np.ndarray], Json]
@@ -40,7 +50,11 @@ class ExportedModel(NamedTuple):
     # UNSHEARED or AS_RECORDED, by the input of `pose_network`; LEARNT if it learnt from slides
     method: str
     rest: np.ndarray | None  # (P, 2) px, the untouched pins of networks over pins
-    size: int  # S, px
+    check: SensorCheck
+
+    @property
+    def size(self) -> int:
+        return self.check.size  # S, px
 
     @property
     def targets(self) -> Targets:
@@ -76,62 +90,78 @@ def load_exported_model(model: TrainedModel) -> ExportedModel:
         method = UNSHEARED if unshearing else AS_RECORDED
     constants = next(iter(networks.values())).variables["batch_stats"]
     rest = np.asarray(constants["rest"], np.float32) if "rest" in constants else None
+    size = model.experiment.paired.preprocess.size
+    check = make_sensor_check(model.rest if rest is None else rest, size)
+    if rest is None and check.spacing < MIN_SPACING_PX:
+        raise UserError(
+            f"{model.folder}: pins are {check.spacing:.1f} px apart in its images, fewer than the "
+            f"{MIN_SPACING_PX:g} by which they differ from noise: train with larger images"
+        )
     return ExportedModel(
         networks.get(DISENTANGLED),
         networks[posenets[0]] if posenets else None,
         method,
         rest,
-        model.experiment.paired.preprocess.size,
+        check,
     )
 
 
 def make_exported_function(parts: ExportedModel) -> Callable[[Array], Json]:
     """Make a function of images (B, S, S) uint8 of {0, 255}, or of pins (B, P, 2) px.
 
-    It returns "unsheared" in the shape of its input (images in [0, 1]), "confidence" (B,) of
-    images, see `stream`, and "pose", mm and deg by name, (B,) each. An output that the model has no
+    It returns "unsheared" in the shape of its input (images in [0, 1]), "pose", mm and deg by name,
+    (B,) each, "confidence" (B,), see `stream`, and "sure" (B,): whether the input is of the model's
+    sensor. Where it is not, confidence is 0 and the others are NaN. An output that the model has no
     network for is left out.
     """
 
     def run(inputs: Array) -> Json:
         outputs: Json = {}
         pose_inputs = inputs = scale_inputs(inputs)
+        if parts.rest is None:
+            channels_first = inputs.transpose(0, 3, 1, 2)
+            confidence = add_image_plausibility(JaxGraph(), parts.check, channels_first)
+        else:
+            confidence = add_pin_plausibility(JaxGraph(), parts.check, inputs)
+        sure = confidence >= MIN_PLAUSIBILITY
         if parts.unshear_network is not None:
             net, variables, _ = parts.unshear_network
             unsheared = unshear(net, variables, inputs)
             outputs["unsheared"] = unsheared[..., 0] if parts.rest is None else unsheared
             if parts.rest is None:
-                outputs["confidence"] = jax.vmap(compute_confidence)(unsheared)
+                confidence *= jax.vmap(compute_confidence)(unsheared)
             if parts.method == UNSHEARED:
                 pose_inputs = unsheared
         if parts.pose_network is not None:
             net, variables, targets = parts.pose_network
             predictions = predict(net, variables, pose_inputs)
             outputs["pose"] = posenet.unscale_outputs(predictions, targets)
-        return outputs
+        outputs = jax.tree.map(lambda values: _keep(sure, values, jnp.nan), outputs)
+        return outputs | {"confidence": _keep(sure, confidence, 0.0), "sure": sure}
 
     return run
 
 
-def make_check_inputs(parts: ExportedModel) -> np.ndarray:
-    """Make CHECK_INPUTS inputs, always the same.
+def _keep(sure: Array, values: Array, other: float) -> Array:
+    return jnp.where(sure.reshape(-1, *[1] * (values.ndim - 1)), values, other)
 
-    They are images of noise and of large patches, or pins that have moved, some of them missing.
+
+def make_check_inputs(parts: ExportedModel) -> np.ndarray:
+    """Make CHECK_INPUTS inputs, always the same: pins that have moved, and last nothing at all.
+
+    Of images some pins are missing, and so are some of pins by identity.
     """
     random = np.random.default_rng(0)
-    if parts.rest is None:
-        shares = np.linspace(0.02, 0.5, CHECK_INPUTS)[:, None, None]
-        coarse = 2 ** (np.arange(CHECK_INPUTS) % 4)
-        noise = random.random((CHECK_INPUTS, *parts.shape))
-        white = []
-        for image, scale in zip(noise < shares, coarse, strict=True):
-            patches = np.kron(image, np.ones((scale, scale)))
-            white.append(patches[: len(image), : len(image)])
-        return np.uint8(255) * np.array(white, np.uint8)
-    spread = 0.01 * np.ptp(parts.rest)
-    pins = parts.rest + random.normal(0, spread, (CHECK_INPUTS, *parts.rest.shape))
-    is_missing = random.random((CHECK_INPUTS, len(parts.rest), 1)) < 0.02
-    return np.where(is_missing, np.nan, pins).astype(np.float32)
+    rest, spacing = parts.check.rest, parts.check.spacing
+    slide = random.normal(0, 0.3 * spacing, (CHECK_INPUTS, 1, 2))
+    pins = rest + slide + random.normal(0, 0.1 * spacing, (CHECK_INPUTS, *rest.shape))
+    is_missing = random.random((CHECK_INPUTS, len(rest), 1)) < 0.02
+    is_missing[-1] = True
+    if parts.rest is not None:
+        return np.where(is_missing, np.nan, pins).astype(np.float32)
+    shown = np.where(is_missing, -parts.size, pins).astype(np.float32)
+    dots = draw_dots(jnp.asarray(shown), 0.3 * spacing, parts.size)
+    return np.uint8(255) * np.asarray(dots[..., 0] > 0.5, np.uint8)
 
 
 def measure_difference(
@@ -173,13 +203,16 @@ def _compute_differences(parts: ExportedModel, outputs: Json, expected: Json) ->
     circle.
     """
     span = 1.0 if parts.rest is None else float(np.ptp(parts.rest))
+    sure = expected["sure"]
+    yield float(np.any(outputs["sure"] != sure))
     ranges = {"unsheared": span, "confidence": 1.0}
     for name, output_range in ranges.items():
         if name in expected:
-            yield float(np.abs(outputs[name] - expected[name]).max()) / output_range
+            error = np.abs(outputs[name] - expected[name])[sure]
+            yield float(error.max(initial=0.0)) / output_range
     for target in parts.targets:
-        error = np.abs(outputs["pose"][target.name] - expected["pose"][target.name])
+        error = np.abs(outputs["pose"][target.name] - expected["pose"][target.name])[sure]
         if target.is_circular:
-            yield float(np.max(np.minimum(error, 360 - error) / 180))
+            yield float(np.max(np.minimum(error, 360 - error) / 180, initial=0.0))
         else:
-            yield float(np.max(error / target.half_range))
+            yield float(np.max(error / target.half_range, initial=0.0))

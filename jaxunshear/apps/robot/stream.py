@@ -16,15 +16,13 @@ import numpy as np
 
 from jaxunshear.apps.robot.pose_filter import FilterState, find_noise, update_filter
 from jaxunshear.apps.robot.source_frame import SourceFrame, SourceLostError
-from jaxunshear.config.sensor import Preprocess
-from jaxunshear.data.recordings import PROBES
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object_if_sound, write_bytes
 from jaxunshear.inference.forward import UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.metrics import compute_pose_errors
 from jaxunshear.perception.drawing import encode_png, to_uint8
-from jaxunshear.perception.preprocess import View, combine_views, find_view, prepare_frame
+from jaxunshear.perception.preprocess import prepare_frame
 from jaxunshear.results.applications import StreamResult
 
 SCHEMA = 1  # of the lines
@@ -91,7 +89,6 @@ def stream(
     has one of a camera whose picture is frozen. A live source also ends by Ctrl-C, or when it is
     lost.
     """
-    find_view = make_steady_view(model.preprocess)
     check_frozen = make_frozen_check(model.force)
     half_widths = read_half_widths(model.folder)
     noise = find_noise(model.targets, half_widths) if outputs.is_filtered else {}
@@ -104,7 +101,7 @@ def stream(
             stats.last = frame.number
             try:
                 check_frozen(frame)
-                answer = _answer_frame(model, frame, find_view)
+                answer = _answer_frame(model, frame)
             except UserError as error:
                 answer = _Answer({}, 0.0, str(error))
             if outputs.is_filtered and answer.pose and frame.time_s is not None:
@@ -148,13 +145,11 @@ def _round(values: Mapping[str, float]) -> dict[str, float]:
     return {name: round(value, 4) for name, value in values.items()}
 
 
-def _answer_frame(
-    model: TrainedModel, frame: SourceFrame, find_view: Callable[[np.ndarray], View]
-) -> _Answer:
+def _answer_frame(model: TrainedModel, frame: SourceFrame) -> _Answer:
     """Run the networks on a frame. Raises UserError if it cannot be used, or is not understood."""
     if frame.pixels is None:
         raise UserError(frame.problem)
-    view = model.view or frame.view or find_view(frame.pixels)
+    view = model.view or frame.view or model.find_view(frame.pixels)
     image = prepare_frame(model.preprocess, frame.pixels, view)
     if not image.any():
         raise UserError("nothing white is left of this frame: no pins to see")
@@ -224,24 +219,6 @@ def _compute_errors(pose: Mapping[str, float], labels: Mapping[str, float]) -> d
     truth = {name: np.array([labels[name]]) for name in names}
     errors = compute_pose_errors({name: np.array([pose[name]]) for name in truth}, truth)
     return {name: float(error[0]) for name, error in errors.items()}
-
-
-def make_steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
-    """Make a function from a camera's frames, one by one, to the view that they have in common.
-
-    It is that of the first PROBES usable frames of each size, as far as they have come.
-    """
-    views: dict[tuple[int, ...], list[View]] = {}
-    common: dict[tuple[int, ...], View] = {}
-
-    def update_view(raw: np.ndarray) -> View:
-        views_of_size = views.setdefault(raw.shape, [])
-        if len(views_of_size) < PROBES:
-            views_of_size.append(find_view(preprocess, raw))
-            common[raw.shape] = combine_views(views_of_size)
-        return common[raw.shape]
-
-    return update_view
 
 
 def _end_when_lost(frames: Iterator[SourceFrame], stats: _StreamStats) -> Iterator[SourceFrame]:

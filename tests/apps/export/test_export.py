@@ -26,19 +26,26 @@ from jaxunshear.apps.export.parts import (
     make_check_inputs,
     measure_difference,
 )
+from jaxunshear.apps.export.sensor_check import (
+    JaxGraph,
+    add_image_plausibility,
+    make_sensor_check,
+)
 from jaxunshear.cli import main
 from jaxunshear.config import targets
 from jaxunshear.config.data import PairedData, PoseData, Ranges
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
-from jaxunshear.config.sensor import Preprocess
+from jaxunshear.config.sensor import TACTIP_331, Preprocess
 from jaxunshear.config.serialization import RELEASED, to_json
 from jaxunshear.data.recordings import read_image
 from jaxunshear.files import write_json
 from jaxunshear.inference.forward import make_forward
 from jaxunshear.models import pin_networks, posenet, unshearnet
 from jaxunshear.models.pin_networks import make_grid
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.preprocess import View, prepare_frame
+from jaxunshear.perception.sensor_check import FOREIGN_REASON
 from jaxunshear.training import checkpoint
 from jaxunshear.training.checkpoint import TrainedNetwork
 from tests.helpers.models import write_network
@@ -48,15 +55,20 @@ SIZE = 32
 NET = UnshearNet(size=SIZE, widths=(4, 6, 8), pose_channels=5, shear_channels=3)
 POSENET = PoseNet(size=SIZE, widths=(4, 5, 6, 7, 8), hidden=9)
 PINS = {"hidden": 16, "layers": 2, "pose_code": 5, "shear_code": 2}
-REST = np.random.default_rng(0).uniform(5, 25, (19, 2)).astype(np.float32)
 TARGETS = targets.make_range_targets((), Ranges())
 OUTPUTS = posenet.count_outputs(TARGETS)
 PREPROCESS = Preprocess(size=SIZE)
+SENSOR = dataclasses.replace(
+    TACTIP_331, name="few", rings=2, pin_spacing_mm=5 * TACTIP_331.pin_spacing_mm
+)
+REST = np.float32(compute_rest_lattice(SENSOR, PairedData().camera, PREPROCESS).rest)
+CHECK = make_sensor_check(REST, SIZE)
 EXPERIMENT = Experiment(
     "small",
     "A claim.",
     unshear=NET,
     posenet=POSENET,
+    sensor=SENSOR,
     paired=PairedData(preprocess=PREPROCESS),
     pose=PoseData(preprocess=PREPROCESS),
 )
@@ -84,7 +96,7 @@ def images(net=NET):
     unshears = TrainedNetwork(net, drawn(lambda key: unshearnet.init(net, key)), ())
     variables = drawn(lambda key: posenet.init(POSENET, OUTPUTS, key))
     reads = TrainedNetwork(POSENET, variables, TARGETS)
-    return ExportedModel(unshears, reads, "unsheared", None, SIZE)
+    return ExportedModel(unshears, reads, "unsheared", None, CHECK)
 
 
 def pins(turned=0.0, convolved=(), read_by=()):
@@ -92,7 +104,7 @@ def pins(turned=0.0, convolved=(), read_by=()):
     reader = PinPoseNet(**PINS, turned=turned, convolved=read_by)
     reads = TrainedNetwork(reader, drawn_of_pins(reader, OUTPUTS), TARGETS)
     unshears = TrainedNetwork(net, drawn_of_pins(net), ())
-    return ExportedModel(unshears, reads, "unsheared", REST, SIZE)
+    return ExportedModel(unshears, reads, "unsheared", REST, CHECK)
 
 
 def make_runner(parts, batch=None, camera=None, reader=None):
@@ -151,9 +163,9 @@ def frames_in(folder, kind):
     rows, columns = np.mgrid[:90, :110]
     folder.mkdir()
     for number in range(6):
-        push = random.normal(0, 1, 2)
-        pinned = (np.sin((rows - push[0]) / 2) > 0.3) & (np.sin((columns - push[1]) / 2) > 0.3)
-        disc = np.hypot(rows - 46, columns - 62) < 44
+        pins = 2.6 * (REST - REST[0]) + random.normal(0, 1, 2) + [62, 46]
+        away = np.hypot(columns[..., None] - pins[:, 0], rows[..., None] - pins[:, 1]).min(-1)
+        pinned, disc = away < 4, np.hypot(rows - 46, columns - 62) < 44
         grey = np.where(disc, 0.15 + 0.6 * pinned, 0.75) + random.normal(0, 0.02, rows.shape)
         if kind == "binary":
             grey = (disc & pinned).astype(float)
@@ -251,7 +263,9 @@ def test_a_file_says_what_it_is_and_reads_what_the_model_reads(run_dir, model, t
     assert expected.keys() == set(names)
     np.testing.assert_allclose(pose.T, [expected[name] for name in names], atol=1e-2)
     np.testing.assert_allclose(after, model.unshear(seen), atol=1e-4)
-    np.testing.assert_allclose(sure, (after**2).sum((1, 2)) / after.sum((1, 2)), rtol=1e-4)
+    crisp = (after**2).sum((1, 2)) / after.sum((1, 2))
+    plausible = add_image_plausibility(JaxGraph(), CHECK, np.float32(seen[:, None] / 255))
+    np.testing.assert_allclose(sure, crisp * plausible, rtol=1e-3)
 
 
 def test_skin_takes_pins(tmp_path):
@@ -320,13 +334,20 @@ def test_a_robot_s_program_in_python(run_dir, tmp_path):
     folder = frames_in(tmp_path / "frames", "colour")
     out = export_model(run_dir, tmp_path / "touch.onnx", "--preprocess", folder)
     frames = read_frames(folder)
+    frames = np.concatenate([frames, np.zeros_like(frames[:1])])
     np.save(tmp_path / "frames.npy", frames)
     command = [sys.executable, program, out, tmp_path / "frames.npy"]
     ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
-    poses = [json.loads(line)["pose"] for line in ran.stdout.splitlines()]
-    (expected,) = onnxruntime.InferenceSession(out).run(["pose"], {"frame": frames})
-    assert [list(pose) for pose in poses] == 6 * [[target.name for target in TARGETS]]
-    np.testing.assert_allclose([list(pose.values()) for pose in poses], expected, atol=1e-3)
+    lines = [json.loads(line) for line in ran.stdout.splitlines()]
+    names = [target.name for target in TARGETS]
+    outputs = onnxruntime.InferenceSession(out).run(["pose", "confidence"], {"frame": frames})
+    *shown, last = lines
+    for line, pose, confidence in zip(shown, *outputs, strict=False):
+        assert list(line) == ["frame", "name", *names, "confidence", "ms"]
+        np.testing.assert_allclose([line[name] for name in names], pose, atol=1e-3)
+        assert line["confidence"] == pytest.approx(confidence, abs=1e-4) and confidence > 0
+    reason = {"confidence": 0.0, "error": FOREIGN_REASON}
+    assert last == {"frame": 6, "name": f"{tmp_path / 'frames.npy'} 6"} | reason
 
 
 def test_a_robot_s_program_in_c(run_dir, tmp_path):
@@ -346,11 +367,13 @@ def test_a_robot_s_program_in_c(run_dir, tmp_path):
     linked = ["-L", tmp_path, "-lonnxruntime", f"-Wl,-rpath,{tmp_path}", "-o", robot]
     subprocess.run([*command, ROOT / "examples" / "robot.cpp", *linked], check=True)
     out = export_model(run_dir, tmp_path / "touch.onnx", "--batch", 1)
-    images = 255 * np.random.default_rng(0).integers(0, 2, (3, SIZE, SIZE), np.uint8)
-    options = {"input": images.tobytes(), "capture_output": True, "check": True, "timeout": 60}
+    shown = make_check_inputs(images())[-3:]
+    options = {"input": shown.tobytes(), "capture_output": True, "check": True, "timeout": 60}
     ran = subprocess.run([robot, out], **options)
     words = [line.split() for line in ran.stdout.decode().splitlines()]
     session = onnxruntime.InferenceSession(out)
-    poses = np.concatenate([session.run(["pose"], {"image": image[None]})[0] for image in images])
-    assert [line[::2] for line in words] == 3 * [[target.name for target in TARGETS]]
-    np.testing.assert_allclose(np.array([line[1::2] for line in words], float), poses, atol=1e-3)
+    outputs = [session.run(["pose", "confidence"], {"image": image[None]}) for image in shown]
+    expected = [[*pose[0], *confidence] for pose, confidence in outputs]
+    names = [*(target.name for target in TARGETS), "confidence"]
+    assert [line[::2] for line in words] == 3 * [names]
+    np.testing.assert_allclose(np.array([line[1::2] for line in words], float), expected, atol=1e-3)

@@ -14,7 +14,7 @@ from PIL import Image
 from jaxunshear.apps.robot import frame_sources
 from jaxunshear.apps.robot.frame_sources import open_source, read_newest
 from jaxunshear.apps.robot.source_frame import SourceFrame, SourceLostError
-from jaxunshear.apps.robot.stream import INLINE, Outputs, make_steady_view, stream
+from jaxunshear.apps.robot.stream import INLINE, Outputs, stream
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data import videos
@@ -23,6 +23,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
 from jaxunshear.inference.forward import UNSHEARED
 from jaxunshear.inference.readers import ImageReader, Predictions
+from jaxunshear.inference.steady_view import make_steady_view
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.sensor_check import FOREIGN_REASON, UNIDENTIFIED_REASON
