@@ -13,6 +13,7 @@ from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
 from jaxunshear.angles import wrap_degrees
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.data.sensor_frame import SensorFrame, to_detection_px, to_image_px
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED, run_in_batches
@@ -25,6 +26,15 @@ from jaxunshear.perception.sensor_check import (
     SensorAppearance,
     compute_plausibility,
     explain_rejection,
+)
+from jaxunshear.perception.touch import (
+    NO_CONTACT_REASON,
+    Touch,
+    TouchGauge,
+    find_untouched,
+    make_recorded_gauge,
+    make_touch_gauge,
+    measure_touch,
 )
 
 EDGE = "edge_deg"  # the target that rotates with the image
@@ -60,6 +70,7 @@ class Predictions(NamedTuple):
     # (B,) in [0, 1]: how likely the image is one of the model's sensor, times
     # `compute_confidence` of the unsheared image; 0 if it is rejected
     confidence: np.ndarray
+    touch: Touch
 
 
 class Codes(NamedTuple):
@@ -138,6 +149,30 @@ class PinReader(NamedTuple):
 Reader = ImageReader | PinReader
 
 
+class TouchReader(NamedTuple):
+    """For what pins show of a contact, whatever the networks take."""
+
+    lattice: Lattice  # against which pins are tracked
+    gauge: TouchGauge
+
+    def measure(self, images: np.ndarray, pins: np.ndarray | None) -> Touch:
+        """Measure images (B, S, S) of {0, 255}, whose pins (B, P, 2) px may be known."""
+        if pins is None:
+            pins = self.lattice.rest + track_images(self.lattice, images, independent=True).motion
+        return measure_touch(self.gauge, pins)
+
+
+def make_touch_reader(rest: Lattice | SensorFrame, sensor: Sensor) -> TouchReader:
+    """Make the reader of images of a simulated sensor, or of a camera's frames.
+
+    Of these no untouched dome is known, but the mean over contacts.
+    """
+    if isinstance(rest, Lattice):
+        return TouchReader(rest, make_touch_gauge(rest, sensor))
+    lattice = make_lattice(rest.rest, rest.ring)
+    return TouchReader(lattice, make_recorded_gauge(lattice, sensor))
+
+
 def check_images(images: np.ndarray, size: int) -> np.ndarray:
     """Return images (B, size, size) as uint8 of {0, 255}. Raises UserError for others."""
     images = np.asarray(images)
@@ -167,6 +202,12 @@ def judge_batch(
         for each in zip(identified.tolist(), plausibility, strict=True)
     ]
     return np.array(rejection), np.array(plausibility)
+
+
+def refuse_untouched(reasons: np.ndarray, touch: Touch, force: bool) -> np.ndarray:
+    """Add to the reasons (B,) by which images are rejected that they show no contact."""
+    refused = find_untouched(touch) & (reasons == "") & (not force)
+    return np.where(refused, NO_CONTACT_REASON, reasons)
 
 
 def make_pin_reader(frame: SensorFrame, model_rest: np.ndarray) -> PinReader:

@@ -5,6 +5,7 @@
 >>> model.unshear(images)                             # (B, S, S) in [0, 1]
 >>> model.pose(images)["unsheared"]["edge_mm"]        # (B,)
 >>> model.codes(images).pose                          # (B, F)
+>>> model.touch(images).contact                       # (B,) probability that it touches
 >>> model.predict(images).rejection                   # (B,) why the results of an image are NaN
 """
 
@@ -51,9 +52,12 @@ from jaxunshear.inference.readers import (
     Poses,
     Predictions,
     Reader,
+    TouchReader,
     check_images,
     judge_batch,
     make_pin_reader,
+    make_touch_reader,
+    refuse_untouched,
 )
 from jaxunshear.models.posenet import unscale_outputs
 from jaxunshear.models.registry import encode
@@ -62,6 +66,7 @@ from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import SensorAppearance, measure_sensor_appearance
+from jaxunshear.perception.touch import Touch
 from jaxunshear.training.checkpoint import TrainedNetwork, has_model, load_network, read_slides
 from jaxunshear.training.examples import FRAME
 
@@ -153,6 +158,11 @@ class TrainedModel:
         if self.source.has_frame and self.frame:
             return measure_sensor_appearance(self.frame.rest, self.frame.size)
         return measure_sensor_appearance(self.lattice.rest, self.experiment.paired.preprocess.size)
+
+    @cached_property
+    def touch_reader(self) -> TouchReader:
+        """What measures contact, slip and shear, whatever the networks."""
+        return make_touch_reader(self.frame or self.lattice, self.sensor)
 
     @cached_property
     def reader(self) -> Reader:
@@ -268,10 +278,17 @@ class TrainedModel:
         outputs = jnp.asarray((shear[:, : len(targets)] + 1) / 2)
         return {name: np.asarray(v) for name, v in unscale_outputs(outputs, targets).items()}
 
+    def touch(self, images: np.ndarray) -> Touch:
+        """Measure contact, slip, shear and strain, (B,) each, by the pins' motion alone."""
+        measure, read = self.touch_reader.measure, self.reader.read
+        return self._run_in_batches(images, lambda batch: measure(batch, read(batch).pins))
+
     def predict(self, images: np.ndarray) -> Predictions:
         """Unshear one batch of images (B, S, S) uint8 of {0, 255}, and predict their poses."""
         inputs = self.reader.read(images)
         reasons, plausibility = judge_batch(images, inputs.identified, self.appearance, self.force)
+        touch = self.touch_reader.measure(images, inputs.pins)
+        reasons = refuse_untouched(reasons, touch, self.force)
         unsheared, poses = jax.device_get(self._forward(scale_inputs(inputs.values)))
         outputs = self.reader.finish(inputs, unsheared, poses)
 
@@ -289,7 +306,7 @@ class TrainedModel:
         # JAX has sorted the quantities by name
         for kind, pose in poses.items():
             poses[kind] = {name: pose[name] for name in self.targets if name in pose}
-        return Predictions(unsheared, poses, pins, reasons, confidence)
+        return Predictions(unsheared, poses, pins, reasons, confidence, touch)
 
     def compile(self, batch: int) -> None:
         """Load the networks and compile them for this many images."""

@@ -36,6 +36,8 @@ class _Answer(NamedTuple):
     pose: dict[str, float]
     confidence: float
     networks_ms: float
+    touch: dict[str, float]  # what pins show of the contact
+    error: str = ""  # why there is no pose
 
 
 @dataclass
@@ -90,9 +92,13 @@ def stream(
             try:
                 answer = _answer_frame(model, frame, find_view)
             except UserError as error:
+                answer = _Answer(None, {}, 0.0, 0.0, {}, str(error))
+            if answer.touch:
+                line["touch"] = {name: round(value, 4) for name, value in answer.touch.items()}
+            if answer.error:
                 stats.skipped += 1
-                stats.problems[str(error)] += 1
-                _write_line(out, line | {"confidence": 0.0, "error": str(error)})
+                stats.problems[answer.error] += 1
+                _write_line(out, line | {"confidence": 0.0, "error": answer.error})
                 continue
             line |= {name: round(value, 4) for name, value in answer.pose.items()}
             line["confidence"] = round(answer.confidence, 4)
@@ -121,12 +127,13 @@ def _answer_frame(
     start = time.perf_counter()
     predictions = model.predict(image[None])
     networks_ms = 1e3 * (time.perf_counter() - start)
+    touch = predictions.touch.describe(0)
     if reason := str(predictions.rejection[0]):
-        raise UserError(reason)
+        return _Answer(None, {}, 0.0, networks_ms, touch, reason)
     poses = predictions.poses.get(UNSHEARED) or next(iter(predictions.poses.values()), {})
     pose = {name: float(values[0]) for name, values in poses.items()}
     unsheared = None if predictions.unsheared is None else predictions.unsheared[0]
-    return _Answer(unsheared, pose, float(predictions.confidence[0]), networks_ms)
+    return _Answer(unsheared, pose, float(predictions.confidence[0]), networks_ms, touch)
 
 
 def _summarise(stats: _StreamStats, live: bool, seconds: float) -> StreamResult:
