@@ -24,6 +24,7 @@ LINKED_MODULES = (
     "training/losses.py",
     "models/registry.py",
     "data/sources.py",
+    "perception/touch.py",
 )
 FLOW = "![The way of the data](figures/flow.svg)"
 

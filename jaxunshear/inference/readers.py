@@ -7,6 +7,7 @@ and unsheared pins are drawn as dots.
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -16,7 +17,12 @@ from jaxunshear.angles import wrap_degrees
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.data.sensor_frame import SensorFrame, to_detection_px, to_image_px
 from jaxunshear.errors import UserError
-from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED, run_in_batches
+from jaxunshear.inference.forward import (
+    AS_RECORDED,
+    UNSHEARED,
+    compute_confidence,
+    run_in_batches,
+)
 from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.lattice import Lattice, make_lattice
 from jaxunshear.perception.pin_tracking import measure_motions, track_images
@@ -157,9 +163,23 @@ class TouchReader(NamedTuple):
 
     def measure(self, images: np.ndarray, pins: np.ndarray | None) -> Touch:
         """Measure images (B, S, S) of {0, 255}, whose pins (B, P, 2) px may be known."""
-        if pins is None:
-            pins = self.lattice.rest + track_images(self.lattice, images, independent=True).motion
-        return measure_touch(self.gauge, pins)
+        return measure_touch(self.gauge, self._track(images) if pins is None else pins)
+
+    def learn_untouched(self, images: np.ndarray, pins: np.ndarray | None) -> "TouchReader":
+        """Return the reader that measures from the mean of these images, of an untouched dome."""
+        pins = self._track(images) if pins is None else pins
+        count = np.isfinite(pins[..., 0]).sum(axis=0)
+        if not count.all():
+            raise UserError(
+                f"of {np.sum(count == 0)} pins no place is known in {len(images)} images of the "
+                "untouched dome: give images in which all pins are identified"
+            )
+        rest = make_lattice(np.nanmean(pins, axis=0), self.gauge.lattice.ring)
+        return self._replace(gauge=self.gauge._replace(lattice=rest))
+
+    def _track(self, images: np.ndarray) -> np.ndarray:
+        rest: np.ndarray = self.lattice.rest
+        return rest + track_images(self.lattice, images, independent=True).motion
 
 
 def make_touch_reader(rest: Lattice | SensorFrame, sensor: Sensor) -> TouchReader:
@@ -189,6 +209,14 @@ def check_images(images: np.ndarray, size: int) -> np.ndarray:
             "`prepare` makes them"
         )
     return images
+
+
+_compute_confidences = jax.jit(jax.vmap(compute_confidence))
+
+
+def compute_confidences(unsheared: np.ndarray | None) -> np.ndarray | float:
+    """Compute how sure each unsheared image (B, S, S) is; 1 if there are none."""
+    return 1.0 if unsheared is None else np.asarray(_compute_confidences(unsheared[..., None]))
 
 
 def judge_batch(

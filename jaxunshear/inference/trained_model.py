@@ -39,7 +39,6 @@ from jaxunshear.errors import Note, UserError
 from jaxunshear.files import read_object
 from jaxunshear.inference.forward import (
     BATCH,
-    compute_confidence,
     jit_for_inference,
     make_full_forward,
     run_in_batches,
@@ -54,6 +53,7 @@ from jaxunshear.inference.readers import (
     Reader,
     TouchReader,
     check_images,
+    compute_confidences,
     judge_batch,
     make_pin_reader,
     make_touch_reader,
@@ -71,8 +71,6 @@ from jaxunshear.training.checkpoint import TrainedNetwork, has_model, load_netwo
 from jaxunshear.training.examples import FRAME
 
 PREFERRED_POSENETS = (POSENET, POSENET_SHEARED)
-
-_compute_confidence = jax.jit(jax.vmap(compute_confidence))
 
 
 @dataclass(eq=False)
@@ -283,6 +281,11 @@ class TrainedModel:
         measure, read = self.touch_reader.measure, self.reader.read
         return self._run_in_batches(images, lambda batch: measure(batch, read(batch).pins))
 
+    def learn_untouched(self, images: np.ndarray) -> None:
+        """Measure touch from where pins stand in images of the untouched dome."""
+        pins = self.reader.read(check_images(images, self.size)).pins
+        self.touch_reader = self.touch_reader.learn_untouched(images, pins)
+
     def predict(self, images: np.ndarray) -> Predictions:
         """Unshear one batch of images (B, S, S) uint8 of {0, 255}, and predict their poses."""
         inputs = self.reader.read(images)
@@ -296,12 +299,7 @@ class TrainedModel:
             accepted = (reasons == "").reshape(-1, *[1] * (value.ndim - 1))
             return np.where(accepted, value, np.nan)
 
-        confidence = plausibility
-        if outputs.unsheared is not None:
-            confidence = plausibility * np.asarray(
-                _compute_confidence(outputs.unsheared[..., None])
-            )
-        confidence = np.where(reasons == "", confidence, 0.0)
+        confidence = plausibility * compute_confidences(outputs.unsheared) * (reasons == "")
         unsheared, poses, pins = jax.tree.map(keep_accepted_rows, outputs)
         # JAX has sorted the quantities by name
         for kind, pose in poses.items():
