@@ -26,7 +26,8 @@ def press(size=1.0):
     """Return pins (1, P, 2) px that part about a place beside the middle, and are dragged."""
     offset = LATTICE.rest - LATTICE.centre - [6, 3]
     share = np.exp(-np.square(offset).sum(-1) / (2 * 12.0**2))[:, None]
-    return (LATTICE.rest + size * share * (0.08 * offset + [1.0, -0.5]))[None]
+    noise = np.random.default_rng(1).normal(0, 0.15, offset.shape)
+    return (LATTICE.rest + size * share * (0.08 * offset + [1.0, -0.5]) + noise)[None]
 
 
 @pytest.mark.parametrize(
