@@ -299,7 +299,7 @@ def score_recordings(folder: Path) -> list[Json]:
             continue
         scored.append(
             {
-                "name": f"{folder.parent.name}/{folder.name}, {low} to {high} mm",
+                "name": f"{low} to {high} mm",
                 "images": int(here.sum()),
                 "refused": float(np.mean(touch.contact[here] < touches.MIN_CONTACT)),
                 "least_contact": float(touch.contact[here].min()),
