@@ -5,7 +5,6 @@
 >>> model.unshear(images)                             # (B, S, S) in [0, 1]
 >>> model.pose(images)["unsheared"]["edge_mm"]        # (B,)
 >>> model.codes(images).pose                          # (B, F)
->>> model.touch(images).contact                       # (B,) probability that it touches
 >>> model.predict(images).rejection                   # (B,) why the results of an image are NaN
 """
 
@@ -207,9 +206,8 @@ class TrainedModel:
         """Turn a camera frame into a binary image (S, S) uint8.
 
         The frame is (H, W) or (H, W, channels), of any number type. Colours are red, green, blue;
-        OpenCV's are blue, green, red. Warns with a `Note` if these networks do not suit a camera:
-        they were trained on simulated contacts of one sensor alone, so their predictions for other
-        frames mean little. Raises UserError.
+        OpenCV's are blue, green, red. Warns with a `Note` if these networks do not suit a camera,
+        as they were trained on simulated contacts of one sensor alone. Raises UserError.
         """
         if not self.source.suits_recordings:
             warnings.warn(self.source.describe(), Note, stacklevel=2)
@@ -262,9 +260,8 @@ class TrainedModel:
     def slide(self, images: np.ndarray) -> dict[str, np.ndarray]:
         """Predict how far each contact slid and rotated, mm and deg by quantity, (B,) each.
 
-        It is in the frame of the simulated sensor that the network was trained on, or as the
-        recordings were labelled. Slip cannot be seen, so its likely value is included. Raises
-        UserError if the shear code was not trained to predict slides.
+        It is in the frame of the simulated sensor that the network was trained on, or of the labels
+        of recordings. Raises UserError if the shear code was not trained to predict slides.
         """
         targets = read_slides(self.folder / DISENTANGLED) if self._encode else ()
         shear = self.codes(images).shear if targets else None
