@@ -80,10 +80,6 @@ TABLES = {
     ),
     "docs/cluster.md": (application_tables.tabulate_sizes,),
     "docs/robot.md": (application_tables.tabulate_exported_speed,),
-    "docs/touch.md": (
-        application_tables.tabulate_touch,
-        application_tables.tabulate_recorded_touch,
-    ),
     "docs/explore.md": (application_tables.tabulate_explorer,),
     "docs/speed.md": (
         simulator_tables.tabulate_training,
