@@ -72,6 +72,11 @@ COMMANDS = {
     "pinnets": Benchmark(
         "networks over pins, with plain layers and fast ones", "bench_pin_networks"
     ),
+    "touch": Benchmark(
+        "contact, slip and shear by the pins' motion, against the simulator's truth",
+        "bench_touch",
+        ("seed", "weights", "recordings"),
+    ),
     "explore": Benchmark("how long a picture of `jaxunshear explore` takes", "bench_explore"),
 }
 _ARGUMENTS: dict[str, dict[str, Any]] = {
@@ -79,12 +84,13 @@ _ARGUMENTS: dict[str, dict[str, Any]] = {
     "batch": {"metavar": "N", "type": int, "help": "only rows with N scenes or images in a batch"},
     "size": {"metavar": "PX", "type": int, "help": "only images of this size"},
     "seed": {"metavar": "N", "type": int, "default": 0, "help": "of the contacts (0)"},
-    "recordings": {
-        "metavar": "DIR",
-        "type": Path,
-        "help": "also of these, with pins painted over",
-    },
+    "recordings": {"metavar": "DIR", "type": Path, "help": "also of these"},
     "out": {"metavar": "DIR", "type": Path, "help": "folder for the figure"},
+    "weights": {
+        "metavar": "FILE",
+        "type": Path,
+        "help": "learn from new contacts first, and write what was learnt to FILE",
+    },
 }
 _LEAST = {"batch": 1, "size": 1, "seed": 0}
 

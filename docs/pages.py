@@ -23,6 +23,7 @@ LINKED_MODULES = (
     "training/losses.py",
     "models/registry.py",
     "data/sources.py",
+    "perception/touch.py",
 )
 
 

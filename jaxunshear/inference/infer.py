@@ -49,6 +49,7 @@ class _Result(NamedTuple):
     reason: str  # why it is rejected; empty if it is not
     unsheared: np.ndarray | None  # (S, S) in [0, 1]
     poses: Poses
+    touch: Mapping[str, float]  # by field of `Touch`
 
 
 def unshear_recordings(
@@ -89,7 +90,7 @@ def unshear_recordings(
         else:
             write_bytes(out / file, encode_png(to_uint8(result.unsheared)))
         cells: Json = {"name": result.name, "image": "" if result.reason else file}
-        cells |= _format_poses(result.poses.get(UNSHEARED, {}))
+        cells |= _format_poses(result.poses.get(UNSHEARED, {})) | _format_poses(result.touch)
         table.append(cells | run.format_labels(result))
     write_text(out / "poses.csv", format_csv(table))
     notes = list(recordings.notes)
@@ -136,6 +137,7 @@ def predict_recordings(
                     _make_row(f"{result.name}.{kind}.{name}", value, get_unit(name))
                     for name, value in pose.items()
                 ]
+        cells |= _format_poses(result.touch)
         table.append(cells | run.format_labels(result))
     print(format_csv(table).rstrip("\n"))
     log = partial(print, file=sys.stderr)
@@ -211,7 +213,8 @@ class _FolderRun:
             self._poses.append(poses)
             unsheared = predictions.unsheared
             image = None if unsheared is None else unsheared[i]
-            yield _Result(frame.row, frame.name, reason, image, poses)
+            touch = {name: float(v[i]) for name, v in predictions.touch._asdict().items()}
+            yield _Result(frame.row, frame.name, reason, image, poses, touch)
 
     def format_labels(self, result: _Result) -> dict[str, str]:
         """Format the labels of an image, empty if it has none, and why it is left out."""

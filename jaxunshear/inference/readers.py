@@ -7,18 +7,25 @@ and unsheared pins are drawn as dots.
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
 from jaxunshear.angles import wrap_degrees
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.data.sensor_frame import SensorFrame, to_image_px
 from jaxunshear.errors import UserError
-from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED, run_in_batches
+from jaxunshear.inference.forward import (
+    AS_RECORDED,
+    UNSHEARED,
+    compute_confidence,
+    run_in_batches,
+)
 from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.grey import ONE_BYTE
-from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.lattice import Lattice, make_lattice
 from jaxunshear.perception.pin_tracking import measure_motions, track_images
 from jaxunshear.perception.sensor_check import (
     MIN_PLAUSIBILITY,
@@ -26,6 +33,15 @@ from jaxunshear.perception.sensor_check import (
     SensorAppearance,
     compute_plausibility,
     explain_rejection,
+)
+from jaxunshear.perception.touch import (
+    NO_CONTACT_REASON,
+    Touch,
+    TouchGauge,
+    find_untouched,
+    make_recorded_gauge,
+    make_touch_gauge,
+    measure_touch,
 )
 
 EDGE = "edge_deg"  # the target that rotates with the image
@@ -61,6 +77,7 @@ class Predictions(NamedTuple):
     # (B,) in [0, 1]: how likely the image is one of the model's sensor, times
     # `compute_confidence` of the unsheared image; 0 if it is rejected
     confidence: np.ndarray
+    touch: Touch
 
 
 class Codes(NamedTuple):
@@ -140,6 +157,46 @@ class PinReader(NamedTuple):
 Reader = ImageReader | PinReader
 
 
+class TouchReader(NamedTuple):
+    """For what pins show of a contact, whatever the networks take."""
+
+    lattice: Lattice  # against which pins are tracked
+    gauge: TouchGauge
+
+    def measure(self, images: np.ndarray, pins: np.ndarray | None) -> Touch:
+        """Measure images (B, S, S) of {0, 255}, whose pins (B, P, 2) px may be known."""
+        return measure_touch(self.gauge, self._track(images) if pins is None else pins)
+
+    def learn_untouched(self, images: np.ndarray, pins: np.ndarray | None) -> "TouchReader":
+        """Return the reader that measures from the mean of these images, of an untouched dome."""
+        pins = self._track(images) if pins is None else pins.copy()
+        lattice = self.gauge.lattice
+        pins[:, list(lattice.lost)] = lattice.rest[list(lattice.lost)]
+        count = np.isfinite(pins[..., 0]).sum(axis=0)
+        if not count.all():
+            raise UserError(
+                f"of {np.sum(count == 0)} pins no place is known in {len(images)} images of the "
+                "untouched dome: give images in which all pins are identified"
+            )
+        rest = make_lattice(np.nanmean(pins, axis=0), lattice.ring, lattice.lost)
+        return self._replace(gauge=self.gauge._replace(lattice=rest))
+
+    def _track(self, images: np.ndarray) -> np.ndarray:
+        rest: np.ndarray = self.lattice.rest
+        return rest + track_images(self.lattice, images, independent=True).motion
+
+
+def make_touch_reader(rest: Lattice | SensorFrame, sensor: Sensor) -> TouchReader:
+    """Make the reader of images of a simulated sensor, or of a camera's frames.
+
+    Of these no untouched dome is known, but the mean over contacts.
+    """
+    if isinstance(rest, Lattice):
+        return TouchReader(rest, make_touch_gauge(rest, sensor))
+    lattice = make_lattice(rest.rest, rest.ring, rest.lost)
+    return TouchReader(lattice, make_recorded_gauge(lattice, sensor))
+
+
 def check_images(images: np.ndarray, size: int) -> np.ndarray:
     """Return images (B, size, size) as uint8 of {0, 255}. Raises UserError for others."""
     images = np.asarray(images)
@@ -158,6 +215,14 @@ def check_images(images: np.ndarray, size: int) -> np.ndarray:
     return images
 
 
+_compute_confidences = jax.jit(jax.vmap(compute_confidence))
+
+
+def compute_confidences(unsheared: np.ndarray | None) -> np.ndarray | float:
+    """Compute how sure each unsheared image (B, S, S) is; 1 if there are none."""
+    return 1.0 if unsheared is None else np.asarray(_compute_confidences(unsheared[..., None]))
+
+
 def judge_batch(
     images: np.ndarray, identified: np.ndarray, expected: SensorAppearance, force: bool
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -169,6 +234,12 @@ def judge_batch(
         for each in zip(identified.tolist(), plausibility, strict=True)
     ]
     return np.array(rejection), np.array(plausibility)
+
+
+def refuse_untouched(reasons: np.ndarray, touch: Touch, force: bool) -> np.ndarray:
+    """Add to the reasons (B,) by which images are rejected that they show no contact."""
+    refused = find_untouched(touch) & (reasons == "") & (not force)
+    return np.where(refused, NO_CONTACT_REASON, reasons)
 
 
 def make_pin_reader(frame: SensorFrame, model_rest: np.ndarray) -> PinReader:

@@ -38,7 +38,6 @@ from jaxunshear.errors import Note, UserError
 from jaxunshear.files import read_object
 from jaxunshear.inference.forward import (
     BATCH,
-    compute_confidence,
     jit_for_inference,
     make_full_forward,
     run_in_batches,
@@ -51,9 +50,13 @@ from jaxunshear.inference.readers import (
     Poses,
     Predictions,
     Reader,
+    TouchReader,
     check_images,
+    compute_confidences,
     judge_batch,
     make_pin_reader,
+    make_touch_reader,
+    refuse_untouched,
 )
 from jaxunshear.inference.steady_view import make_steady_view
 from jaxunshear.models.posenet import unscale_outputs
@@ -63,12 +66,11 @@ from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import SensorAppearance, measure_sensor_appearance
+from jaxunshear.perception.touch import Touch
 from jaxunshear.training.checkpoint import TrainedNetwork, has_model, load_network, read_slides
 from jaxunshear.training.examples import FRAME
 
 PREFERRED_POSENETS = (POSENET, POSENET_SHEARED)
-
-_compute_confidence = jax.jit(jax.vmap(compute_confidence))
 
 
 @dataclass(eq=False, repr=False)
@@ -160,6 +162,11 @@ class TrainedModel:
     def appearance(self) -> SensorAppearance:
         """How its sensor appears in prepared images."""
         return measure_sensor_appearance(self.rest, self.experiment.paired.preprocess.size)
+
+    @cached_property
+    def touch_reader(self) -> TouchReader:
+        """What measures contact, slip and shear, whatever the networks."""
+        return make_touch_reader(self.frame or self.lattice, self.sensor)
 
     @cached_property
     def reader(self) -> Reader:
@@ -262,9 +269,8 @@ class TrainedModel:
     def slide(self, images: np.ndarray) -> dict[str, np.ndarray]:
         """Predict how far each contact slid and rotated, mm and deg by quantity, (B,) each.
 
-        It is in the frame of the simulated sensor that the network was trained on, or as the
-        recordings were labelled. Slip cannot be seen, so its likely value is included. Raises
-        UserError if the shear code was not trained to predict slides.
+        It is in the frame of the simulated sensor that the network was trained on, or of the labels
+        of recordings. Raises UserError if the shear code was not trained to predict slides.
         """
         targets = read_slides(self.folder / DISENTANGLED) if self._encode else ()
         shear = self.codes(images).shear if targets else None
@@ -276,6 +282,16 @@ class TrainedModel:
         outputs = jnp.asarray((shear[:, : len(targets)] + 1) / 2)
         return {name: np.asarray(v) for name, v in unscale_outputs(outputs, targets).items()}
 
+    def touch(self, images: np.ndarray) -> Touch:
+        """Measure contact, slip, shear and strain, (B,) each, by the pins' motion alone."""
+        measure, read = self.touch_reader.measure, self.reader.read
+        return self._run_in_batches(images, lambda batch: measure(batch, read(batch).pins))
+
+    def learn_untouched(self, images: np.ndarray) -> None:
+        """Measure touch from where pins stand in images of the untouched dome."""
+        pins = self.reader.read(check_images(images, self.size)).pins
+        self.touch_reader = self.touch_reader.learn_untouched(images, pins)
+
     def predict(self, images: np.ndarray) -> Predictions:
         """Unshear and predict poses, with a confidence, or a reason why there are none."""
         predictions = self._run_in_batches(images, self._predict_batch)
@@ -286,6 +302,8 @@ class TrainedModel:
     def _predict_batch(self, images: np.ndarray) -> Predictions:
         inputs = self.reader.read(images)
         reasons, plausibility = judge_batch(images, inputs.identified, self.appearance, self.force)
+        touch = self.touch_reader.measure(images, inputs.pins)
+        reasons = refuse_untouched(reasons, touch, self.force)
         unsheared, poses = jax.device_get(self._forward(scale_inputs(inputs.values)))
         outputs = self.reader.finish(inputs, unsheared, poses)
 
@@ -293,14 +311,9 @@ class TrainedModel:
             accepted = (reasons == "").reshape(-1, *[1] * (value.ndim - 1))
             return np.where(accepted, value, np.nan)
 
-        confidence = plausibility
-        if outputs.unsheared is not None:
-            confidence = plausibility * np.asarray(
-                _compute_confidence(outputs.unsheared[..., None])
-            )
-        confidence = np.where(reasons == "", confidence, 0.0)
+        confidence = plausibility * compute_confidences(outputs.unsheared) * (reasons == "")
         unsheared, poses, pins = jax.tree.map(keep_accepted_rows, outputs)
-        return Predictions(unsheared, poses, pins, reasons, confidence)
+        return Predictions(unsheared, poses, pins, reasons, confidence, touch)
 
     def compile(self, batch: int) -> None:
         """Load the networks and compile them for this many images."""

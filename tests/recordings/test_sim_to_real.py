@@ -30,6 +30,7 @@ from jaxunshear.files import to_builtins
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.readers import Predictions, make_frame_transforms
 from jaxunshear.inference.trained_model import TrainedModel
+from jaxunshear.perception.touch import Touch
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 from tests.helpers.commands import succeed
 from tests.helpers.models import change_weights, init, write_run
@@ -128,7 +129,8 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
 
         poses = {AS_RECORDED: read(off), UNSHEARED: read(off / 2, moved=0.3)}
         both = {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)}
-        return Predictions(None, poses, both, np.full(len(pose), ""), np.ones(len(pose)))
+        touch = Touch(*np.full((len(Touch._fields), len(pose)), 0.5))
+        return Predictions(None, poses, both, np.full(len(pose), ""), np.ones(len(pose)), touch)
 
     experiment = Experiment("small", "none", paired=PairedData(preprocess=preprocess))
     network = TrainedModel(tmp_path / "weights", experiment)

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple, TextIO
 
 import numpy as np
@@ -52,6 +53,7 @@ class _Answer(NamedTuple):
     error: str = ""  # why there is no pose
     unsheared: np.ndarray | None = None  # (S, S) in [0, 1]
     networks_ms: float = 0.0
+    touch: Mapping[str, float] = MappingProxyType({})  # what pins show of the contact
 
 
 @dataclass
@@ -129,6 +131,8 @@ def make_line(
     """Make the line of a frame, but for its image and its time; docs/robot.md has the fields."""
     line: Json = {"schema": SCHEMA, "frame": frame.number, "name": frame.name}
     line |= {"time_s": frame.time_s, "confidence": round(answer.confidence, 4)}
+    if answer.touch:
+        line["touch"] = _round(answer.touch)
     if answer.error:
         return line | {"error": answer.error}
     line["pose"] = _round(answer.pose)
@@ -156,14 +160,15 @@ def _answer_frame(model: TrainedModel, frame: SourceFrame) -> _Answer:
     start = time.perf_counter()
     predictions = model.predict(image[None])
     networks_ms = 1e3 * (time.perf_counter() - start)
+    touch = predictions.touch.describe(0)
     if reason := str(predictions.rejection[0]):
-        raise UserError(reason)
+        return _Answer({}, 0.0, reason, networks_ms=networks_ms, touch=touch)
     poses = predictions.poses.get(UNSHEARED) or next(iter(predictions.poses.values()), {})
     pose = {name: float(values[0]) for name, values in poses.items()}
     if not np.isfinite([*pose.values()]).all():
         raise UserError("the networks gave no finite pose for this frame")
     unsheared = None if predictions.unsheared is None else predictions.unsheared[0]
-    return _Answer(pose, float(predictions.confidence[0]), "", unsheared, networks_ms)
+    return _Answer(pose, float(predictions.confidence[0]), "", unsheared, networks_ms, touch)
 
 
 def make_frozen_check(force: bool) -> Callable[[SourceFrame], None]:

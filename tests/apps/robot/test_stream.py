@@ -27,6 +27,7 @@ from jaxunshear.inference.steady_view import make_steady_view
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.sensor_check import FOREIGN_REASON, UNIDENTIFIED_REASON
+from jaxunshear.perception.touch import Touch
 
 EXPERIMENT = load_experiment("experiments/tiny.py")
 
@@ -43,7 +44,8 @@ class StandIn(TrainedModel):
     def predict(self, images):
         time.sleep(self.seconds)
         poses = {UNSHEARED: {"edge_mm": np.array([0.25]), "edge_deg": np.array([-3.0])}}
-        return Predictions(images / 255.0, poses, {}, np.array([""]), np.array([0.9]))
+        touch = Touch(*np.full((len(Touch._fields), 1), 0.5))
+        return Predictions(images / 255.0, poses, {}, np.array([""]), np.array([0.9]), touch)
 
 
 def run(frames, live=False, seconds=0.0, images=None, is_filtered=False, force=False):

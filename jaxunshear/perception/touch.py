@@ -1,0 +1,240 @@
+"""What the pins' motion says of a contact, whatever the networks: touch, slip, shear and strain.
+
+    gauge = make_touch_gauge(lattice, TACTIP_331)  # where pins stand while nothing is touched
+    touch = measure_touch(gauge, lattice.rest + track_images(lattice, images).motion)
+    touch.contact  # (B,) probability that the dome is touched
+
+Motions are in mm, less that of the rim, which contacts hardly move: a camera that shifts moves all
+pins alike. A plane is fitted to the motions around each pin; its slope gives divergence and curl.
+Means over groups of rings, which are the same however the sensor is turned, go into regressions
+that were learnt from simulated contacts (`touch.json`, by `python -m benchmarks touch`).
+"""
+
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.special import expit
+
+from jaxunshear.config.sensor import FITTED_CAMERA, TACTIP_331_FITTED, Camera, Preprocess, Sensor
+from jaxunshear.files import Json, read_object
+from jaxunshear.perception.lattice import Lattice, make_lattice
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+
+WEIGHTS = Path(__file__).with_name("touch.json")
+MIN_CONTACT = 0.5  # probability below which an image shows no contact
+NO_CONTACT_REASON = "no contact"
+RIM_RINGS = 2  # of the outermost rings, which show the view's shift
+ZONES = (0.0, 0.3, 0.55, 0.8, 1.01)  # of the rim's radius: limits between groups of rings
+CONTACT_STRAIN = 0.5  # of the largest: from here on a pin belongs to the contact
+SHEAR_FLOOR = (0.2, 1.0)  # mm and deg: an error grows with the shear from here on
+LEAST = 1e-4  # mm, or mm per mm, that is added before a logarithm
+
+
+class TouchGauge(NamedTuple):
+    """The pins of a sensor that touches nothing, and what measures motions from there."""
+
+    lattice: Lattice
+    place_mm: np.ndarray  # (P, 2) mm from the middle
+    mm_per_px: float
+    near: np.ndarray  # (P, N) each pin and its neighbours
+    plane: np.ndarray  # (P, 3, N): of motions of `near` makes the value at the pin, and its slopes
+    zones: np.ndarray  # (Z, P): takes means over groups of rings
+    stiffness: float  # of the skin over the gel's
+
+
+class MotionField(NamedTuple):
+    """The motions of B images, each smoothed over a pin's neighbours."""
+
+    motion_mm: np.ndarray  # (B, P, 2) as (column, row), the rim's subtracted
+    divergence: np.ndarray  # (B, P) mm per mm; positive where pins part
+    curl: np.ndarray  # (B, P) mm per mm; positive from columns towards rows
+    strain: np.ndarray  # (B, P) mm per mm: size of the slope less its rotation
+    noise_mm: np.ndarray  # (B,) of one pin, against its neighbours
+
+
+class TouchFeatures(NamedTuple):
+    """What B fields share with their turned copies, by group of rings."""
+
+    scalars: np.ndarray  # (B, K) logarithms of what does not change, and of the stiffness
+    vectors: np.ndarray  # (B, Z, 2) mm, which turn with the sensor
+    turns: np.ndarray  # (B, T), which change their sign in a mirror
+    divergence: np.ndarray  # (B,) mean over the contact, mm per mm
+    curl: np.ndarray  # (B,)
+
+
+class TouchWeights(NamedTuple):
+    """What was learnt; the last of `contact` and `slip` is added."""
+
+    contact: np.ndarray  # (C + 1,) of the first C of the scalars
+    slip: np.ndarray  # (K + 1,)
+    shear: np.ndarray  # (Z,)
+    turn: np.ndarray  # (T,)
+    half_width: np.ndarray  # (2,) of the shear's mm and deg, over its size and SHEAR_FLOOR
+
+
+class Touch(NamedTuple):
+    """What B images show; NaN for one whose pins are not followed.
+
+    Where nothing is touched, slip and shear are NaN, too.
+    """
+
+    contact: np.ndarray  # (B,) probability that the dome is touched
+    slip: np.ndarray  # (B,) share of the contact that slides, in [0, 1]
+    shear_x_mm: np.ndarray  # (B,) along columns: how far friction has dragged the skin
+    shear_y_mm: np.ndarray  # (B,) along rows
+    shear_deg: np.ndarray  # (B,) and turned it, from columns towards rows
+    shear_half_width_mm: np.ndarray  # (B,) of the interval about x, and y, that holds 95 %
+    shear_half_width_deg: np.ndarray  # (B,)
+    divergence: np.ndarray  # (B,) mean over the contact, mm per mm
+    curl: np.ndarray  # (B,)
+
+    def describe(self, row: int) -> dict[str, float]:
+        """Describe one image by field, without those that are NaN."""
+        values = {name: float(values[row]) for name, values in self._asdict().items()}
+        return {name: value for name, value in values.items() if np.isfinite(value)}
+
+
+def make_touch_gauge(untouched: Lattice, sensor: Sensor) -> TouchGauge:
+    """Make the gauge of the lattice of a sensor that touches nothing."""
+    tips = compute_pin_tips(sensor)[:, :2]
+    centred = untouched.rest - untouched.rest.mean(axis=0)
+    mm_per_px = float(np.linalg.norm(tips - tips.mean(axis=0)) / np.linalg.norm(centred))
+    place = mm_per_px * (untouched.rest - untouched.centre)
+    near = np.column_stack([np.arange(len(place)), untouched.neighbours])
+    offset = place[near] - place[:, None]
+    share = 1 / (1 + np.square(offset).sum(-1) / (mm_per_px * untouched.spacing) ** 2)
+    design = np.concatenate([np.ones((*near.shape, 1)), offset], axis=-1)
+    weighted = np.swapaxes(design * share[..., None], -1, -2)
+    plane = np.linalg.solve(weighted @ design, weighted)
+    radius = np.linalg.norm(place, axis=-1)
+    zones = np.eye(len(ZONES) - 1)[:, np.digitize(radius / radius.max(), ZONES) - 1]
+    zones = zones / np.maximum(zones.sum(axis=1, keepdims=True), 1)
+    stiffness = sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
+    return TouchGauge(untouched, place, mm_per_px, near, plane, zones, stiffness)
+
+
+def make_recorded_gauge(lattice: Lattice, sensor: Sensor) -> TouchGauge:
+    """Make the gauge of a camera, of whose lattice the mean over contacts is known.
+
+    Contacts move the rim least. Within, each ring is drawn to the radius that it has at the
+    simulated camera. Of 331 pins that one, and the sensor, were fitted to real images.
+    """
+    is_fitted = lattice.rest.shape == (TACTIP_331_FITTED.pins, 2)
+    sensor, camera = (TACTIP_331_FITTED, FITTED_CAMERA) if is_fitted else (sensor, Camera())
+    model = compute_rest_lattice(sensor, camera, Preprocess())
+    wanted, known = _measure_ring_radii(model), _measure_ring_radii(lattice)
+    scale = wanted / wanted[-1] * known[-1] / known
+    scale[0] = 1  # of the pin in the middle
+    offset = lattice.rest - lattice.centre
+    rest = lattice.centre + scale[lattice.ring, None] * offset
+    return make_touch_gauge(make_lattice(rest, lattice.ring), sensor)
+
+
+def _measure_ring_radii(lattice: Lattice) -> np.ndarray:
+    radius = np.linalg.norm(lattice.rest - lattice.centre, axis=-1)
+    return np.bincount(lattice.ring, radius) / np.bincount(lattice.ring)
+
+
+def measure_field(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> MotionField:
+    """Measure the motion of pins px from the untouched lattice, NaN for those that are missing."""
+    lattice = gauge.lattice
+    full = [_complete(lattice, each - lattice.rest) for each in pins]
+    motion = gauge.mm_per_px * np.reshape(full, (-1, *lattice.rest.shape))
+    rim = lattice.ring > lattice.ring.max() - RIM_RINGS
+    motion = motion - np.median(motion[:, rim], axis=1, keepdims=True)
+    smooth = np.einsum("pkn,bpnc->kcbp", gauge.plane, motion[:, gauge.near])
+    (xx, yx), (xy, yy) = smooth[1:]  # of x and y, along x; then along y
+    offset = np.square(motion - lattice.neighbour_weights @ motion).sum(-1)
+    return MotionField(
+        motion_mm=np.moveaxis(smooth[0], 0, -1),
+        divergence=xx + yy,
+        curl=yx - xy,
+        strain=np.sqrt(xx**2 + yy**2 + (xy + yx) ** 2 / 2),
+        noise_mm=np.sqrt(np.median(offset, axis=1) / (2 * np.log(2))),
+    )
+
+
+def _complete(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
+    return lattice.fill_missing(motion) if np.isnan(motion).any() else motion
+
+
+def describe_field(gauge: TouchGauge, field: MotionField) -> TouchFeatures:
+    """Describe fields by means over groups of rings."""
+
+    def average(values: np.ndarray) -> np.ndarray:
+        return values @ gauge.zones.T
+
+    motion, outward = field.motion_mm, gauge.place_mm
+    outward = outward / np.maximum(np.linalg.norm(outward, axis=-1, keepdims=True), LEAST)
+    turned = average(motion[..., 1] * outward[:, 0] - motion[..., 0] * outward[:, 1])
+    squares = average(np.square(motion).sum(-1))
+    mean = np.stack([average(motion[..., axis]) for axis in (0, 1)], axis=-1)
+    rigid = np.square(mean).sum(-1) + turned**2
+    scalars = [
+        field.noise_mm[:, None],
+        np.sqrt(squares),
+        np.linalg.norm(mean, axis=-1),
+        np.sqrt(np.maximum(squares - rigid, 0)),  # of what no rigid motion of the rings explains
+        np.sqrt(average(np.square(field.divergence))),
+        np.sqrt(average(np.square(field.curl))),
+        np.full((len(motion), 1), gauge.stiffness),
+    ]
+    touched = field.strain >= CONTACT_STRAIN * field.strain.max(axis=1, keepdims=True)
+    return TouchFeatures(
+        np.log(np.concatenate(scalars, axis=1) + LEAST),
+        mean,
+        np.concatenate([average(field.curl), turned], axis=1),
+        *(np.mean(each, axis=1, where=touched) for each in (field.divergence, field.curl)),
+    )
+
+
+@cache
+def load_weights(path: Path = WEIGHTS) -> TouchWeights:
+    """Load weights that `python -m benchmarks touch` wrote."""
+    stored: Json = read_object(path)
+    return TouchWeights(*(np.array(stored[name]) for name in TouchWeights._fields))
+
+
+def predict_touch(weights: TouchWeights, features: TouchFeatures) -> Touch:
+    """Predict what B images show."""
+
+    def weigh(learnt: np.ndarray) -> np.ndarray:
+        used = features.scalars[:, : len(learnt) - 1]
+        probability: np.ndarray = expit(used @ learnt[:-1] + learnt[-1])
+        return probability
+
+    contact = weigh(weights.contact)
+    touched = np.where(contact < MIN_CONTACT, np.nan, 1.0)
+    shear_mm = np.einsum("bzc,z->cb", features.vectors, weights.shear) * touched
+    turn_deg = features.turns @ weights.turn * touched
+    return Touch(
+        contact=contact,
+        slip=weigh(weights.slip) * touched,
+        shear_x_mm=shear_mm[0],
+        shear_y_mm=shear_mm[1],
+        shear_deg=turn_deg,
+        shear_half_width_mm=weights.half_width[0] * (SHEAR_FLOOR[0] + np.hypot(*shear_mm)),
+        shear_half_width_deg=weights.half_width[1] * (SHEAR_FLOOR[1] + np.abs(turn_deg)),
+        divergence=features.divergence,
+        curl=features.curl,
+    )
+
+
+def measure_touch(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> Touch:
+    """Measure what pins px show of a contact; an image that is not followed has NaN alone."""
+    followed = np.isfinite(pins).any(axis=(1, 2))
+    touch = predict_touch(
+        load_weights(), describe_field(gauge, measure_field(gauge, pins[followed]))
+    )
+    values = np.full((len(touch), len(pins)), np.nan)
+    values[:, followed] = touch
+    return Touch(*values)
+
+
+def find_untouched(touch: Touch) -> Bool[np.ndarray, "B"]:
+    """Find the images of a dome that touches nothing; one that is not followed is none of them."""
+    return touch.contact < MIN_CONTACT

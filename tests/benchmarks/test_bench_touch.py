@@ -1,0 +1,52 @@
+"""What is learnt of simulated contacts, on contacts whose answer is known."""
+
+import numpy as np
+import pytest
+
+from benchmarks import bench_touch
+from jaxunshear.perception import touch
+
+ZONES = len(touch.ZONES) - 1
+
+
+def make_touches(count=400):
+    """Contacts whose shear is linear in the features, and whose motion stands out of noise."""
+    rng = np.random.default_rng(0)
+    nodes = np.where(np.arange(count) % 3, 20, 0)
+    scalars = rng.normal(-3, 0.1, (count, 6 * ZONES + 2))
+    scalars[:, 1 : 1 + ZONES] += np.where(nodes > 0, rng.uniform(1, 3, count), 0)[:, None]
+    vectors, turns = rng.normal(0, 0.3, (count, ZONES, 2)), rng.normal(0, 1, (count, 2 * ZONES))
+    drag = np.column_stack([vectors[:, 0] + 2 * vectors[:, 1], turns[:, 0] - turns[:, 3]])
+    slip = 1 / (1 + np.exp(-(scalars[:, 3] + 2)))
+    features = touch.TouchFeatures(scalars, vectors, turns, scalars[:, 0], scalars[:, 0])
+    depth = np.where(nodes > 0, 1.0, 0.0)
+    return bench_touch.Touches(features, np.arange(count), depth, nodes, slip, drag, np.ones(count))
+
+
+@pytest.fixture(scope="module")
+def learnt():
+    return bench_touch.learn_weights([make_touches()])
+
+
+def test_shear_is_learnt_with_its_interval(learnt):
+    np.testing.assert_allclose(learnt.shear, [1, 2, 0, 0], atol=0.02)
+    np.testing.assert_allclose(learnt.turn, [1, 0, 0, -1, 0, 0, 0, 0], atol=0.02)
+    assert np.all((learnt.half_width > 0) & (learnt.half_width < 0.05))
+
+
+def test_no_motion_speaks_against_a_contact(learnt):
+    assert learnt.contact[bench_touch.NOISE] <= 0 <= learnt.contact[1:-1].min()
+
+
+def test_scores_are_those_of_contacts_that_are_known(learnt):
+    scores = bench_touch.score_touches(make_touches(), learnt)
+    assert (scores["auc"], scores["refused"], scores["refused_untouched"]) == (1, 0, 1)
+    assert scores["slip_rms"] < 0.05 and scores["shear_rms_mm"] < 0.02
+    assert scores["inside_mm"] == pytest.approx(0.95, abs=0.04)
+
+
+def test_the_file_of_weights_is_loaded_as_it_was_learnt(learnt, tmp_path):
+    (tmp_path / "touch.json").write_text(bench_touch.format_weights(learnt))
+    loaded = touch.load_weights(tmp_path / "touch.json")
+    for name in learnt._fields:
+        np.testing.assert_allclose(getattr(loaded, name), getattr(learnt, name), atol=1e-5)
