@@ -75,7 +75,7 @@ def test_commands_exist(page, capsys):
     named = set(re.findall(r"(?:^    |`)jaxunshear ([a-z]+)", text, re.MULTILINE))
     assert named <= known, f"{page}: {named - known}"
     for tool in (verification, benchmarks):
-        named = set(re.findall(rf"python -m {tool.__package__} ([a-z]+)", text))
+        named = set(re.findall(rf"python -m {tool.__package__} ([a-z_]+)", text))
         assert named <= tool.COMMANDS.keys(), f"{page}: {named - tool.COMMANDS.keys()}"
 
 
