@@ -33,8 +33,8 @@ MAX_POSE_ID = 2.0**53
 UNKNOWN_ID = -1
 NO_VARIATION = 1e-6  # mm or deg
 MIN_RANGED = 10  # contacts: fewer say nothing of ranges
-METRES = 0.05  # positions that vary by less do not look like mm
-RADIANS = {"pose": 6.3, "slide": 1.0}  # angles that vary by less do not look like degrees
+METRES = 0.05  # positions that vary by less are hardly mm
+RADIANS = {"pose": 6.3, "slide": 1.0}  # angles that vary by less are hardly degrees
 
 
 class ImageLabels(NamedTuple):
