@@ -2,8 +2,8 @@
 
     rows = bench_pinnets()
 
-The encoder E has dense layers, or convolutions (`pins.convolved`). For a frame the networks compute
-the unsheared pins from the sheared ones, and the pose from the unsheared pins. The pins
+The encoder E has dense layers, or convolutions (`pins.conv_channels`). For a frame the networks
+compute the unsheared pins from the sheared ones, and the pose from the unsheared pins. The pins
 stand as on the TacTip, with random motions. Plain and fast layers take turns.
 """
 
@@ -32,7 +32,10 @@ from jaxunshear.text_table import format_text_table
 from jaxunshear.training.tasks import make_unshear_task
 from verification.clock import time_call
 
-NETS = {"dense": PinUnshear(), "convolves": PinUnshear(convolved=(24, 48, 96))}  # second: `skin`
+NETS = {
+    "dense": PinUnshear(),
+    "convolves": PinUnshear(conv_channels=(24, 48, 96)),
+}  # second: `skin`
 BATCHES = (1, 64)
 ROUNDS, TURN_S = 60, 0.1
 SPREAD = 2.0  # px

@@ -20,12 +20,12 @@ def count_multiplications(net: UnshearNet, training: bool) -> int:
     shear = net.shear_channels if net.disentangled and training else 0
     pose = net.pose_channels if net.disentangled else 0
     codes = [pose or widths[-1]] + ([pose + shear] if shear else [])
-    if net.apart:  # dense layers from and to numbers without place; z_s by a PoseNet
+    if net.separate_encoders:  # dense layers from and to numbers without place; z_s by a PoseNet
         count += widths[-1] * side * side * (pose + sum(codes))
         count += count_posenet_multiplications(PoseNet(net.size)) if shear else 0
     else:
         count += 9 * widths[-1] * (pose + shear) * side * side
-    decoders = [widths[-1] for _ in codes] if net.apart else codes
+    decoders = [widths[-1] for _ in codes] if net.separate_encoders else codes
     for code in decoders:
         here, outwards = side, (*reversed(widths[:-1]), 1)
         for before, width in zip((code, *outwards), outwards, strict=False):

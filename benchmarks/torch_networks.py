@@ -229,7 +229,7 @@ def make_training_step(
         loss.backward()
         adam.step()
         with torch.no_grad():
-            torch._foreach_lerp_(average, tensors, 1 - training.averaging)
+            torch._foreach_lerp_(average, tensors, 1 - training.ema_decay)
         return loss.detach()
 
     return step

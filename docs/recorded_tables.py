@@ -27,7 +27,7 @@ ROWS = {
 }
 OTHER = "other recordings (locked)"
 SHARES = ("0.01", "0.05", "0.1", "0.3", "1.0")
-UNLABELLED = ("left_out", "read")
+UNLABELLED = ("left_out", "pseudo_label")
 LEARNT = (
     "directly",
     "unsheared",

@@ -27,7 +27,7 @@ BASE = parted.sweep.base
 ROWS = {
     "E convolves, poses teach": (),
     "E convolves": (("train_pins.losses.pose_label", 0.0),),
-    "E is dense": ((("train_pins.losses.pose_label", "pins.convolved"), (0.0, ())),),
+    "E is dense": ((("train_pins.losses.pose_label", "pins.conv_channels"), (0.0, ())),),
 }
 
 sweep = Sweep(
@@ -45,7 +45,7 @@ sweep = Sweep(
         unshear=replace(BASE.unshear, size=256),
         posenet=replace(BASE.posenet, size=256),
         # the noise is as large as the errors of pins that are detected in these images
-        pins=replace(BASE.pins, convolved=(16, 32, 64), noise_px=0.14),
+        pins=replace(BASE.pins, conv_channels=(16, 32, 64), noise_px=0.14),
         train_pins=replace(
             BASE.train_pins, epochs=25, losses={**BASE.train_pins.losses, "pose_label": 0.1}
         ),

@@ -32,7 +32,7 @@ sweep = Sweep(
     ),
     grid=(
         ("paired.labelled", (0.01, 0.05, 0.1, 0.3, 1.0)),
-        (("paired.unlabelled", "pins.turned"), (("left_out", 0.0), ("read", 0.8))),
+        (("paired.unlabelled", "pins.rotated_share"), (("left_out", 0.0), ("pseudo_label", 0.8))),
     ),
     seeds=(0, 1, 2),
 )

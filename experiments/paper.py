@@ -42,7 +42,7 @@ POSENET = replace(
     l1=1e-3,
     l2=1e-3,
     kernels="mean",
-    averaging=0.0,
+    ema_decay=0.0,
     shift=0.02,
     validate_every=70,  # an epoch: 18,000 taps
 )
@@ -71,7 +71,7 @@ experiment = Experiment(
         losses={"supervised": 1.0, "patch": 0.1, "reconstruction": 1.0},
         crops=100,
         crop_px=20,
-        averaging=0.0,
+        ema_decay=0.0,
         shift=0.02,
         validate_every=1687,  # an epoch: 54,000 sheared images
     ),

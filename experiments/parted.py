@@ -28,10 +28,10 @@ ROWS = {
     "disentangled": (),
     "no exchanged codes": (("train_pins.losses.counterfactual", 0.0),),
     "no agreement": (("train_pins.losses.code_agreement", 0.0),),
-    "one encoder, and DS teaches both codes": (("pins.apart", False),),
+    "one encoder, and DS teaches both codes": (("pins.separate_encoders", False),),
     "the paper's losses": (
         (WEIGHTS, (0.0, 0.0)),
-        (("pins.apart", "train_pins.losses.slide"), (False, 0.0)),
+        (("pins.separate_encoders", "train_pins.losses.slide"), (False, 0.0)),
         ("pins.pose_code", 16),
     ),
 }
@@ -48,7 +48,7 @@ sweep = Sweep(
         paired=PAIRED["parted"],
         pose=POSE["parted"],
         unshear=UnshearNet(input="pins"),
-        pins=PinNet(pose_code=8, shear_code=2, apart=True),
+        pins=PinNet(pose_code=8, shear_code=2, separate_encoders=True),
         train_pins=replace(
             PIN_TRAINING,
             epochs=50,

@@ -24,7 +24,10 @@ ROWS = {
     "disentangled": (),
     "no agreement": (("train.losses.code_agreement", 0.0),),
     "the paper's losses": (
-        (("unshear.apart", "unshear.pose_channels", "unshear.shear_channels"), (False, 256, 256)),
+        (
+            ("unshear.separate_encoders", "unshear.pose_channels", "unshear.shear_channels"),
+            (False, 256, 256),
+        ),
         (("train.losses.code_agreement", "train.losses.slide"), (0.0, 0.0)),
     ),
 }
@@ -35,7 +38,9 @@ sweep = Sweep(
     base=replace(
         parted.sweep.base,
         name="parted_images",
-        unshear=replace(standard.experiment.unshear, pose_channels=8, shear_channels=2, apart=True),
+        unshear=replace(
+            standard.experiment.unshear, pose_channels=8, shear_channels=2, separate_encoders=True
+        ),
         pins=PinNet(),
         train=replace(
             standard.experiment.train,

@@ -23,7 +23,7 @@ from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
 
 WEIGHTS = ("train_pins.losses.code_agreement", "train_pins.losses.slide")
-CODES = ("pins.apart", "pins.pose_code", "pins.shear_code")
+CODES = ("pins.separate_encoders", "pins.pose_code", "pins.shear_code")
 ROWS = {
     "as recorded.py trains": (),
     "disentangled": ((CODES, (True, 8, 2)), (WEIGHTS, (2.0, 1.0))),

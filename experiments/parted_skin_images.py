@@ -16,7 +16,7 @@ from dataclasses import replace
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
 
-CODES = ("unshear.apart", "unshear.pose_channels", "unshear.shear_channels")
+CODES = ("unshear.separate_encoders", "unshear.pose_channels", "unshear.shear_channels")
 LOSSES = ("train.losses.code_agreement", "train.losses.slide")
 DISENTANGLED = ((CODES, (True, 8, 2)), (LOSSES, (2.0, 1.0)))
 ROWS = {

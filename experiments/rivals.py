@@ -23,8 +23,8 @@ One row by itself, of seed 0 (`--seed 1` for another):
 
 OPTIONS are the first or second of these lines, and the third or fourth where a row's name says so:
 
-    dense                       --pins.convolved=
-    convolving                  --pins.direct_convolved 24,48,96
+    dense                       --pins.conv_channels=
+    convolving                  --pins.direct_conv_channels 24,48,96
     direct from rendered taps   --paired.direct_taps rendered
     no pose labels              --train_pins.losses.pose_label 0
 
@@ -41,8 +41,8 @@ from jaxunshear.config.networks import PinNet
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
 
-CHANNELS = BASE_EXPERIMENT.pins.convolved
-CONVOLVING = (("pins.convolved", "pins.direct_convolved"), (CHANNELS, CHANNELS))
+CHANNELS = BASE_EXPERIMENT.pins.conv_channels
+CONVOLVING = (("pins.conv_channels", "pins.direct_conv_channels"), (CHANNELS, CHANNELS))
 RENDERED = ("paired.direct_taps", "rendered")
 ROWS = {
     "dense": (),

@@ -4,7 +4,7 @@
     jaxunshear evaluate runs/skin --recordings DIR
 
 Over pins: contacts of the fitted sensor with an edge and three shapes, varied as between sensors,
-cameras and days (`--pins.turned`). The released weights `skin`, which `unshear`, `pose` and
+cameras and days (`--pins.rotated_share`). The released weights `skin`, which `unshear`, `pose` and
 `stream` use by default, come from it, by `jaxunshear release runs/skin`.
 
 Expected: minutes to simulate and to train on two cores (no file has the times);
@@ -26,6 +26,6 @@ experiment = Experiment(
     paired=PAIRED["skin"],
     pose=POSE["skin"],
     unshear=UnshearNet(input="pins"),
-    pins=PinNet(convolved=(24, 48, 96), noise_px=0.3, turned=1.0),
+    pins=PinNet(conv_channels=(24, 48, 96), noise_px=0.3, rotated_share=1.0),
     train_pins=PIN_TRAINING,
 )

@@ -37,7 +37,7 @@ BASE_EXPERIMENT = Experiment(
     paired=Recorded(),
     pose=RecordedTaps(),
     unshear=UnshearNet(widths=(16, 32, 64, 128, 256), pose_channels=256, shear_channels=256),
-    pins=PinNet(convolved=(24, 48, 96)),
+    pins=PinNet(conv_channels=(24, 48, 96)),
     train=Training(
         epochs=6,
         batch=8,

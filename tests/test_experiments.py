@@ -101,8 +101,8 @@ def test_rivals_are_of_one_make_and_read_by_one_posenet():
         assert len({resolve_network(cell.experiment, name).digest for cell in cells}) == 1
     for cell in cells:
         pins = cell.experiment.pins
-        assert pins.convolved == pins.direct_convolved
-        assert bool(pins.convolved) == cell.label.startswith("convolving")
+        assert pins.conv_channels == pins.direct_conv_channels
+        assert bool(pins.conv_channels) == cell.label.startswith("convolving")
     assert sweep.seeds == (0, 1, 2) and sweep.base.train_pins.epochs == 100
 
 
@@ -143,7 +143,7 @@ def test_paper_is_appendix_b():
         assert (training.batch, training.epochs) == (batch, epochs)
         assert (training.schedule, training.drops) == ("steps", drops)
         assert (training.l1, training.l2, training.kernels) == (1e-3, 1e-3, "mean")
-        assert training.averaging == 0
+        assert training.ema_decay == 0
         assert 0.01 <= training.shift <= 0.02
     assert (paper.train.losses["patch"], paper.train.crops, paper.train.crop_px) == (0.1, 100, 20)
     assert (paper.paired.poses, paper.paired.taps, paper.paired.slides) == (200, 50, 150)

@@ -140,7 +140,7 @@ class PairedData(SimulatedData, SourceSettings):
     taps: Count = 1  # canonical images per pose
     slides: Count = 2  # sheared images per pose
     # poses of a split that share their slides, so that codes can be swapped
-    poses_a_slide: Count = 1
+    poses_per_slide: Count = 1
     # how far a tap may miss its slide's depth, mm (the paper: 1.0)
     tap_depth_jitter_mm: float = 0.0
 
@@ -206,8 +206,8 @@ class Recorded(SourceSettings):
     pairing: PairingMethod = "rendered"
     labelled: Share = 1.0  # share of the training slides whose labels are used
     # what becomes of training slides without a label: they are left out, or posenet_sheared
-    # predicts their poses ("read")
-    unlabelled: Literal["left_out", "read"] = "left_out"
+    # predicts their poses ("pseudo_label")
+    unlabelled: Literal["left_out", "pseudo_label"] = "left_out"
     # taps that posenet_sheared, which learns poses of slides directly, learns from as well: the
     # recorded ones, as slides of length zero; or over pins as many rendered ones as slides
     direct_taps: Literal["none", "recorded", "rendered"] = "none"
@@ -229,13 +229,13 @@ class Recorded(SourceSettings):
         if self.pairing == "simulated" and use != (1, "left_out", "none"):
             remedy = "leave labelled at 1, unlabelled at left_out and direct_taps at none"
             yield "pairing", f"simulated takes no recorded slide to learn from: {remedy}"
-        if self.unlabelled == "read" and self.pairing not in ("rendered", "nearest"):
+        if self.unlabelled == "pseudo_label" and self.pairing not in ("rendered", "nearest"):
             problem = f"poses that are read give no partner for pairing {self.pairing}"
             yield "unlabelled", f"{problem}: use pairing rendered or nearest"
 
     def list_helpers(self, spec: NetworkSpec, pins: bool) -> tuple[str, ...]:
         if spec.role == "unshears":
-            reads = (POSENET_SHEARED,) if self.unlabelled == "read" else ()
+            reads = (POSENET_SHEARED,) if self.unlabelled == "pseudo_label" else ()
             return reads + ((RENDERER,) if self.pairing in RENDERED_PAIRINGS else ())
         if spec.learns_from == "slides":
             return (RENDERER,) if self.direct_taps == "rendered" else ()

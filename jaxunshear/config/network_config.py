@@ -81,7 +81,7 @@ def resolve_network(experiment: Experiment, name: str) -> NetworkConfig:
         training=training,
         targets=experiment.targets,
         seed=experiment.seed + (TEACHER_SEED if name == TEACHER else 0),
-        randomised=experiment.pins.turned if pins and simulated else 0.0,
+        randomised=experiment.pins.rotated_share if pins and simulated else 0.0,
         needs=tuple(resolve_network(experiment, need) for need in _list_helpers(experiment, spec)),
     )
 
@@ -154,13 +154,13 @@ def _select_pin_net(experiment: Experiment, spec: NetworkSpec) -> NetSettings:
     pins = experiment.pins
     if spec.role == "unshears":
         code = pins.shear_code if spec.name == DISENTANGLED else 0
-        used = replace(pins, direct_convolved=(), turned=0.0, shear_code=code)
+        used = replace(pins, direct_conv_channels=(), rotated_share=0.0, shear_code=code)
         return PinUnshear(**asdict(used))
     settings: Json = {name: getattr(pins, name) for name in ("hidden", "layers", "noise_px")}
     if spec.role == "renders":
         return PinRenderer(**settings)
     if spec.learns_from == "slides":
         # simulated pins are turned by domain randomisation, without a network that knows of it
-        turned = 0.0 if experiment.paired.is_simulated else pins.turned
-        settings |= {"turned": turned, "convolved": pins.direct_convolved}
+        turned = 0.0 if experiment.paired.is_simulated else pins.rotated_share
+        settings |= {"rotated_share": turned, "conv_channels": pins.direct_conv_channels}
     return PinPoseNet(**settings)

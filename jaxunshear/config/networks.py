@@ -39,7 +39,7 @@ class UnshearNet:
     pose_channels: Count = 128  # channels of z_p
     shear_channels: CodeSize = 128  # channels of z_s; 0 builds no shear code and no DS
     # separate encoders: both codes are vectors, z_s has its own encoder, and DS trains neither code
-    apart: bool = False
+    separate_encoders: bool = False
     disentangled: bool = True  # the network has codes; set by its name, so leave it
     # what all networks take: images, or pins; over pins the settings are those of the group pins
     input: Literal["images", "pins"] = "images"
@@ -89,21 +89,21 @@ class PinNet:
     layers: Count = 3  # number of dense layers
     # channels of E's convolutions over a grid across the pins, before one dense layer; (): dense
     # layers alone
-    convolved: GridChannels = ()
+    conv_channels: GridChannels = ()
     # channels of such convolutions in posenet_sheared, which learns poses of slides directly; other
     # PoseNets are dense
-    direct_convolved: GridChannels = ()
+    direct_conv_channels: GridChannels = ()
     # noise that is added to the pins of training examples, px: as much as their detection errs by
     noise_px: NotNegative = 0.08
     # rotation augmentation: share of the training examples that are turned about the sensor's axis;
     # recorded ones for posenet_sheared alone, simulated ones for all networks, with slides of other
     # lengths and another camera
-    turned: Annotated[float, between(0, 1)] = 0.0
+    rotated_share: Annotated[float, between(0, 1)] = 0.0
     pose_code: Count = 16  # numbers in z_p
     shear_code: CodeSize = 4  # numbers in z_s; 0 builds no shear code and no DS
     # separate encoders: z_s has its own, and DS trains neither code: z_p learns from the tap alone,
     # z_s from the slide
-    apart: bool = False
+    separate_encoders: bool = False
 
 
 @dataclass(frozen=True)

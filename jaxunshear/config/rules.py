@@ -33,7 +33,12 @@ from jaxunshear.errors import UserError
 UNKNOWN = 2**62  # examples, of data that are counted when they are read
 # fields that only some networks use: a value that changes none of them is refused
 PARTLY_USED = (
-    *("pins.turned", "pins.direct_convolved", "paired.direct_taps", "train.paired_share"),
+    *(
+        "pins.rotated_share",
+        "pins.direct_conv_channels",
+        "paired.direct_taps",
+        "train.paired_share",
+    ),
     *(f"train_posenet.{field}" for field in ("crops", "crop_px", "paired_share")),
     *(f"train_teacher.{field}" for field in ("crops", "crop_px", "paired_share")),
 )
@@ -84,8 +89,11 @@ def _find_recorded_problems(experiment: Experiment, recorded: Recorded) -> Itera
         yield "paired.pairing", f"{problem}; yours has {sensor_pins}"
     if recorded.direct_taps == "rendered" and not uses_pins(experiment):
         yield "paired.direct_taps", "rendered is for networks over pins: use recorded"
-    if pins.turned and pins.direct_convolved:
-        yield "pins.direct_convolved", "takes recorded pins as they are: leave pins.turned at 0"
+    if pins.rotated_share and pins.direct_conv_channels:
+        yield (
+            "pins.direct_conv_channels",
+            "takes recorded pins as they are: leave pins.rotated_share at 0",
+        )
     if experiment.train_pins.paired_share != 1:
         yield "train_pins.paired_share", "is for simulated pairs: use paired.labelled"
     for field in ("unseen", *FURTHER_TESTS):
@@ -113,8 +121,8 @@ def _find_label_target_problems(
     if columns and not trained <= readers:
         remedy = f"none but {' and '.join(sorted(readers))} learns {', '.join(columns)}"
         yield "targets", f"{remedy}: name no more by --networks"
-    if experiment.pins.turned:
-        yield "pins.turned", f"does not turn {names}: leave it at 0"
+    if experiment.pins.rotated_share:
+        yield "pins.rotated_share", f"does not turn {names}: leave it at 0"
 
 
 def _find_training_problems(experiment: Experiment) -> Iterator[Problem]:
@@ -128,12 +136,12 @@ def _find_training_problems(experiment: Experiment) -> Iterator[Problem]:
         remedy = "leave it empty: the PoseNet that scores a network must not supervise it"
         yield "train_teacher.start", remedy
     yield from _find_group_problems(experiment, "train", "unshears", pairs)
-    for group, apart, code in (
-        ("train", "unshear.apart", experiment.unshear.shear_channels),
-        ("train_pins", "pins.apart", experiment.pins.shear_code),
+    for group, field, code in (
+        ("train", "unshear.separate_encoders", experiment.unshear.shear_channels),
+        ("train_pins", "pins.separate_encoders", experiment.pins.shear_code),
     ):
         learns_slide = "slide" in getattr(experiment, group).losses and code > 0
-        if get_value(experiment, apart) and not learns_slide:
+        if get_value(experiment, field) and not learns_slide:
             remedy = f"raise {group}.losses.slide, and the size of the shear code"
             yield apart, f"leaves z_s to learn from the slide alone: {remedy}"
     yield from _find_group_problems(experiment, "train_posenet", "reads poses", taps)
@@ -175,25 +183,25 @@ def _find_group_problems(
 
 
 REMEDIES: dict[Requirement, str] = {  # if a loss requires what an experiment lacks
-    "codes": "takes codes that are apart: set unshear.apart; "
-    "over pins raise pins.shear_code, and leave pins.turned at 0",
+    "codes": "takes codes of separate encoders: set unshear.separate_encoders; "
+    "over pins raise pins.shear_code, and leave pins.rotated_share at 0",
     "shared slides": "takes simulated slides that poses share, two at least: "
-    "raise paired.poses_a_slide and paired.slides",
+    "raise paired.poses_per_slide and paired.slides",
     "two slides": "takes two slides to a pose: raise paired.slides",
     "simulated": "takes simulated contacts: leave it out",
-    "still pins": "takes pins as they are: leave it out, or pins.turned at 0",
+    "still pins": "takes pins as they are: leave it out, or pins.rotated_share at 0",
 }
 
 
 def _meet_requirements(experiment: Experiment, modality: InputKind) -> dict[Requirement, bool]:
     """Return whether an experiment has what losses may require of networks over `modality`."""
-    paired, is_still = experiment.paired, not experiment.pins.turned
+    paired, is_still = experiment.paired, not experiment.pins.rotated_share
     has_two_slides = getattr(paired, "slides", 0) > 1
     has_pin_codes = experiment.pins.shear_code > 0 and is_still
-    has_image_codes = experiment.unshear.apart and not uses_pins(experiment)
+    has_image_codes = experiment.unshear.separate_encoders and not uses_pins(experiment)
     return {
         "codes": has_pin_codes if modality == "pins" else has_image_codes,
-        "shared slides": has_two_slides and getattr(paired, "poses_a_slide", 0) > 1,
+        "shared slides": has_two_slides and getattr(paired, "poses_per_slide", 0) > 1,
         "two slides": has_two_slides,
         "simulated": paired.is_simulated,
         "still pins": is_still,

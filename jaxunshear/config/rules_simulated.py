@@ -91,10 +91,10 @@ def _find_target_problems(
                 yield "targets", "there is none: the ranges of the poses leave nothing to predict"
         except UserError as error:
             yield "targets", str(error)
-    turns_pins = uses_pins(experiment) and experiment.pins.turned > 0
+    turns_pins = uses_pins(experiment) and experiment.pins.rotated_share > 0
     if turns_pins and not (named and named <= ROTATED_TARGETS):
         remedy = f"which leaves them these targets alone: {', '.join(sorted(ROTATED_TARGETS))}"
-        yield "pins.turned", f"turns touches about the sensor's axis, {remedy}"
+        yield "pins.rotated_share", f"turns touches about the sensor's axis, {remedy}"
 
 
 def _find_tap_problems(

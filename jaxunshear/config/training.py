@@ -58,7 +58,7 @@ class Training:
     # other slides are left out
     paired_share: Share = 1.0
     # decay of the exponential moving average of the weights; 0 switches it off
-    averaging: Fraction = 0.99
+    ema_decay: Fraction = 0.99
     # largest random shift of images, as a fraction of their size (the paper: 1-2 %)
     shift: Annotated[float, between(0, 0.25)] = 0.015
     # weights to start from: the name of released ones, or a run's folder; empty: random ones

@@ -96,7 +96,7 @@ class RecordedSource(DataSource):
         pairing, unlabelled = stored.settings.pairing, stored.settings.unlabelled
         render = helpers.load_renderer() if pairing in RENDERED_PAIRINGS else None
         simulate = helpers.load_simulator(stored) if pairing == "simulated" else None
-        estimate = helpers.load_estimator() if unlabelled == "read" else None
+        estimate = helpers.load_estimator() if unlabelled == "pseudo_label" else None
         return stored.read_pairs(targets, render, images, estimate, simulate)
 
     def read_frame(self, data_dir: Path) -> Json | None:

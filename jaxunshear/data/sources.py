@@ -94,7 +94,7 @@ class DataSource:
         self.experiment = experiment
         self.settings: Any = experiment.paired
         # whether poses share slides, so that a batch can have the partners of `FactorialReader`
-        self.shares_slides = getattr(self.settings, "poses_a_slide", 1) > 1
+        self.shares_slides = getattr(self.settings, "poses_per_slide", 1) > 1
 
     def read_rows(self, split: str) -> "Batch":
         """Read all pairs of a split.
@@ -204,7 +204,7 @@ class SimulatedSource(DataSource):
     def suits_recordings(self) -> bool:
         """Whether the networks learnt from pins as other sensors and cameras would show them."""
         experiment = self.experiment
-        return experiment.unshear.input == "pins" and experiment.pins.turned > 0
+        return experiment.unshear.input == "pins" and experiment.pins.rotated_share > 0
 
     def describe(self) -> str:
         sensor, names = self.experiment.sensor.name, ", ".join(self.settings.names)

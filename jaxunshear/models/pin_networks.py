@@ -79,7 +79,7 @@ class GridTrunk(nn.Module):
         is_inside = jnp.broadcast_to(is_inside[None, :, None], (count, len(is_inside), 1))
         x = jnp.concatenate([grid_motions, is_inside], -1).reshape(count, side, side, 3)
         convolution = layer_choice.pick_layer(PLAIN_CONVOLUTION, FAST_CONVOLUTION)
-        for number, channels in enumerate(self.net.convolved):
+        for number, channels in enumerate(self.net.conv_channels):
             stride = 2 if number else 1
             layer = nn.Conv(
                 channels, (3, 3), stride, kernel_init=he, conv_general_dilated=convolution
@@ -126,11 +126,11 @@ class PinUnshearModule(nn.Module):
 
     def setup(self) -> None:
         net = self.net
-        self.E = GridTrunk(net) if net.convolved else Trunk(net)
+        self.E = GridTrunk(net) if net.conv_channels else Trunk(net)
         self.pose, self.DC = nn.Dense(net.pose_code), Dense(net, self.motions)
         if net.shear_code:
             self.shear, self.DS = nn.Dense(net.shear_code), Dense(net, self.motions)
-            self.ES = Trunk(net) if net.apart else None
+            self.ES = Trunk(net) if net.separate_encoders else None
 
     def pose_code(self, motions: Array, *grid: Array) -> Array:
         return self.pose(self.E(motions, *grid))
@@ -157,7 +157,7 @@ _MODULES: dict[type, Callable[[Net, int, int], tuple[nn.Module, int]]] = {
     PinUnshear: lambda net, motions, outputs: (PinUnshearModule(net, motions), motions),
     PinPoseNet: lambda net, motions, outputs: (
         Dense(net, outputs),
-        motions + (2 if net.turned else 0),  # cosine and sine of a rotation
+        motions + (2 if net.rotated_share else 0),  # cosine and sine of a rotation
     ),
     PinRenderer: lambda net, motions, outputs: (Dense(net, motions), outputs),
 }
@@ -181,7 +181,7 @@ def init(
     module, width = _MODULES[type(net)](net, int(np.size(rest)), outputs)
     constants = {"rest": jnp.asarray(rest, jnp.float32), "spread": jnp.asarray(spread, jnp.float32)}
     inputs = [jnp.zeros((1, width))]
-    if net.convolved:
+    if net.conv_channels:
         constants["grid"] = jnp.asarray(make_grid(rest) if grid is None else grid)
         inputs.append(constants["grid"])
     params = module.init(key, *inputs)["params"]
@@ -256,7 +256,7 @@ def reconstruct(
         )
         return outputs, variables["batch_stats"]
     pose_codes, shear_codes = [code for code, _ in codes], [code for _, code in codes]
-    if net.apart:  # DS does not teach the codes
+    if net.separate_encoders:  # DS does not teach the codes
         pose_codes, shear_codes = jax.lax.stop_gradient((pose_codes, shear_codes))
     sheared = decode_sheared(net, variables, pose_codes[0], shear_codes[0])
     counterfactual = None
@@ -274,7 +274,7 @@ def predict(net: PinPoseNet, variables: Variables, pins: Pins, radians: ArrayLik
     `radians` is the angle by which all pins were turned, for networks that learn from turned pins.
     """
     motions, *grid = _make_inputs(net, variables, pins)
-    if net.turned:
+    if net.rotated_share:
         turn = jnp.stack([jnp.cos(radians), jnp.sin(radians)]).astype(motions.dtype)
         motions = jnp.concatenate([motions, jnp.broadcast_to(turn, (motions.shape[0], 2))], -1)
     return _apply_dense(net, variables, motions, *grid)
@@ -320,7 +320,7 @@ def _make_inputs(net: PinNet, variables: Variables, pins: Array) -> tuple[Array,
     constants = variables["batch_stats"]
     motion = (pins - constants["rest"][None]) / constants["spread"]
     motions = jnp.where(jnp.isfinite(motion), motion, 0).reshape(pins.shape[0], -1)
-    return (motions, constants["grid"]) if net.convolved else (motions,)
+    return (motions, constants["grid"]) if net.conv_channels else (motions,)
 
 
 def _convert_to_pins(variables: Variables, motions: Array) -> Array:

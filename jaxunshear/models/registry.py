@@ -83,7 +83,7 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
             decode_canonical=unshearnet.decode_canonical,
             decode_sheared=unshearnet.decode_sheared,
             has_shear_code=lambda net: net.disentangled and net.shear_channels > 0,
-            count_slide_numbers=lambda net: net.shear_channels if net.apart else 0,
+            count_slide_numbers=lambda net: net.shear_channels if net.separate_encoders else 0,
         ),
         NetworkFunctions(
             "unet",

@@ -9,7 +9,7 @@ E encodes, DC decodes the pose code z_p to the canonical (tap) image, DS decodes
 sheared one. The entangled network has one code and DC alone; its z_s is None. Inputs are binary
 images scaled to [0, 1], decoders return logits.
 
-Codes that are `apart` are ours, not the paper's: both are a few numbers without place,
+Codes of `separate_encoders` are ours, not the paper's: both are a few numbers without place,
 (B, 1, 1, channels), and z_s has an encoder of its own, ES.
 """
 
@@ -70,8 +70,8 @@ class Network(nn.Module):
         decoder: Callable[[], nn.Module] = partial(
             layer_choice.pick_layer(Decoder, fast.Decoder), net.widths
         )
-        code = VectorCode if net.apart else layer_choice.pick_layer(Same, fast.Same)
-        if net.apart:
+        code = VectorCode if net.separate_encoders else layer_choice.pick_layer(Same, fast.Same)
+        if net.separate_encoders:
             side = net.size // 2 ** len(net.widths)
             decoder = partial(VectorDecoder, (side, side, net.widths[-1]), decoder)
         self.E, self.DC = encoder(net.widths), decoder()
@@ -79,9 +79,13 @@ class Network(nn.Module):
             self.pose = code(net.pose_channels)
             if net.shear_channels:
                 channels = net.shear_channels
-                self.shear = VectorCode(channels, normalise=False) if net.apart else code(channels)
+                self.shear = (
+                    VectorCode(channels, normalise=False)
+                    if net.separate_encoders
+                    else code(channels)
+                )
                 self.DS = decoder()
-        if net.apart:
+        if net.separate_encoders:
             self.ES = encoder(net.widths)
 
     def encode_pose(self, images: Array, train: bool) -> Array:
@@ -95,7 +99,9 @@ class Network(nn.Module):
         if not self.net.shear_channels:
             return self.pose(z, train), None
         z_p = self.pose(z, train)
-        return z_p, self.encode_slide(images, train) if self.net.apart else self.shear(z, train)
+        return z_p, self.encode_slide(images, train) if self.net.separate_encoders else self.shear(
+            z, train
+        )
 
     def encode_slide(self, images: Array, train: bool) -> Array:
         return self.shear(self.ES(images, train), train)
@@ -113,7 +119,7 @@ class Network(nn.Module):
         self, images: Array, same_pose: Array | None = None, same_slide: Array | None = None
     ) -> Reconstruction:
         """Run both decoders in training."""
-        if not self.net.apart:
+        if not self.net.separate_encoders:
             z_p, z_s = self.encode(images, True)
             sheared = None if z_s is None else self.decode_sheared(z_p, z_s, True)
             return Reconstruction(self.DC(z_p, True), z_p, sheared, z_s=z_s)
@@ -136,8 +142,8 @@ class Network(nn.Module):
 def init(net: UnshearNet, key: Array) -> Variables:
     """Make fresh variables. Raises UserError if `size` and `widths` do not fit each other."""
     raise_first_problem(net, "UnshearNet")
-    # the shapes of networks whose codes are not apart do not depend on the image's
-    side = net.size if net.apart else 2 ** len(net.widths)
+    # the shapes of networks with one encoder do not depend on the image's
+    side = net.size if net.separate_encoders else 2 ** len(net.widths)
     with layer_choice.use_layers(layer_choice.FAST):  # for the same weights with any layers
         return dict(Network(net).init(key, jnp.zeros((1, side, side, 1))))
 
@@ -158,7 +164,7 @@ def match_entangled_size(net: UnshearNet) -> UnshearNet:
 
     def scale_widths(ratio: float) -> UnshearNet:
         widths = tuple(max(4, 4 * round(ratio * width / 4)) for width in net.widths)
-        return dataclasses.replace(net, widths=widths, disentangled=False, apart=False)
+        return dataclasses.replace(net, widths=widths, disentangled=False, separate_encoders=False)
 
     low, high = 0.25, 4.0
     while count_parameters(scale_widths(high)) < target:
@@ -219,7 +225,7 @@ def reconstruct(
 ) -> tuple[Reconstruction, Variables]:
     """Run both decoders over sheared images; return the running statistics, updated in training.
 
-    Codes that are `apart`, which DS does not teach, take partners.
+    Codes of `separate_encoders`, which DS does not teach, take partners.
 
     Args:
         key: any key in training; else None, and partners are not used.

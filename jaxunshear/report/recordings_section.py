@@ -52,7 +52,7 @@ def _describe_recordings(results: Results, recordings: Recordings) -> list[str]:
     if recordings.labelled < 1:
         facts.append(f"Labels of {recordings.labelled:.0%} of the training slides teach.")
     network = Markup("<code>posenet_sheared</code>")
-    if paired.get("unlabelled") == "read":
+    if paired.get("unlabelled") == "pseudo_label":
         text = Markup("The poses of slides without a label are those that {} reads off them.")
         facts.append(text.format(network))
     if (taps := paired.get("direct_taps", "none")) != "none":

@@ -131,7 +131,8 @@ def find_rotation_sense(
     """
     if not any(target.name == TWIST and target.is_circular for target in targets):
         raise UserError(
-            f"pins.turned: asks for {TWIST} over the full circle among the targets: leave it at 0"
+            f"pins.rotated_share: asks for {TWIST} over the full circle among the targets: "
+            "leave it at 0"
         )
     rows = np.random.default_rng(0).choice(len(pins), min(TRIED_TAPS, len(pins)), replace=False)
     motion = np.where(np.isfinite(pins), pins - rest, 0)
@@ -151,7 +152,7 @@ def find_rotation_sense(
     sense = min(differences, key=differences.__getitem__)
     if not differences[sense] < MAX_MOTION_DIFFERENCE:
         raise UserError(
-            "pins.turned: turned touches do not resemble recorded ones "
+            "pins.rotated_share: turned touches do not resemble recorded ones "
             f"(they differ by {differences[sense]:.2f} of their motion): leave it at 0"
         )
     return sense

@@ -82,7 +82,7 @@ def make_step(
         updates, moments = optimiser.update(gradient, state.optimiser, state.params)
         params = optax.apply_updates(state.params, updates)
         # averages start short, else the first weights would linger in them
-        decay = jnp.minimum(training.averaging, (1.0 + state.step) / (10.0 + state.step))
+        decay = jnp.minimum(training.ema_decay, (1.0 + state.step) / (10.0 + state.step))
         new = {"params": params, "batch_stats": batch_stats}
         average = jax.tree.map(lambda old, now: decay * old + (1 - decay) * now, state.average, new)
         metrics["gradient"] = optax.tree.norm(gradient)

@@ -53,7 +53,7 @@ def make_task(
     if config.spec.role == "renders":
         task = tasks.make_renderer_task(net, training, targets, facts)
     elif config.spec.role == "reads poses":
-        rotations = _make_rotations(examples) if getattr(net, "turned", 0) else None
+        rotations = _make_rotations(examples) if getattr(net, "rotated_share", 0) else None
         render = None
         if "rendered_pose" in training.losses:
             renderer = _load_helper(experiment, RENDERER, folder)

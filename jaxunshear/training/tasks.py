@@ -58,7 +58,7 @@ class Supervision(NamedTuple):
 class PinAugmentation(NamedTuple):
     """What a PoseNet over pins may learn from besides its batches."""
 
-    rotations: Rotations | None = None  # for `net.turned`
+    rotations: Rotations | None = None  # for `net.rotated_share`
     # for the loss "rendered_pose": outputs (B, K) -> pins (B, P, 2) px, by a trained renderer
     render: Callable[[Array], Array] | None = None
 
@@ -166,7 +166,7 @@ def make_posenet_task(
             contacts = modality.add_noise(net, contacts, key)
             poses, radians = posenet.scale_poses(batch, targets), jnp.zeros(())
             if rotations is not None:
-                k = sample_rotation(net.turned, jax.random.fold_in(key, 1))
+                k = sample_rotation(net.rotated_share, jax.random.fold_in(key, 1))
                 contacts = rotate_pins(rotations, k, contacts)
                 poses = rotate_outputs(rotations, k, poses, targets)
                 radians = rotations.radians[k]

@@ -22,7 +22,7 @@ BASE = Experiment(name="plain", claim="none", networks=("disentangled", "posenet
 TAUGHT = replace_field(BASE, "train.losses.pose_tap", 1.0)
 PINS = replace(BASE, unshear=UnshearNet(input="pins"))
 RECORDED_PINS = replace_field(RECORDED, "unshear.input", "pins")
-READ = replace_field(RECORDED_PINS, "paired.unlabelled", "read")
+READ = replace_field(RECORDED_PINS, "paired.unlabelled", "pseudo_label")
 RECORDED_NETWORKS = (RENDERER, TEACHER, "posenet", "posenet_sheared", "disentangled")
 
 
@@ -52,15 +52,15 @@ def change(experiment, **fields):
         (TAUGHT, {"posenet__hidden": 7}, f"disentangled posenet {TEACHER}"),
         (PINS, {"paired__ranges__twist_deg": 5.0}, "entangled disentangled posenet_sheared"),
         (PINS, {"pose__ranges__tilt_deg": 5.0}, f"posenet {TEACHER} entangled disentangled"),
-        (PINS, {"pins__turned": 0.5}, "posenet disentangled"),
+        (PINS, {"pins__rotated_share": 0.5}, "posenet disentangled"),
         (RECORDED_PINS, {"paired__labelled": 0.1}, "posenet_sheared disentangled"),
-        (RECORDED_PINS, {"paired__unlabelled": "read"}, "disentangled"),
+        (RECORDED_PINS, {"paired__unlabelled": "pseudo_label"}, "disentangled"),
         (RECORDED_PINS, {"paired__pairing": "nearest"}, "disentangled"),
         (RECORDED_PINS, {"paired__direct_taps": "recorded"}, "posenet_sheared"),
-        (RECORDED_PINS, {"pins__direct_convolved": (8,)}, "posenet_sheared"),
-        (RECORDED_PINS, {"pins__turned": 0.5}, "posenet_sheared"),
+        (RECORDED_PINS, {"pins__direct_conv_channels": (8,)}, "posenet_sheared"),
+        (RECORDED_PINS, {"pins__rotated_share": 0.5}, "posenet_sheared"),
         (READ, {"paired__direct_taps": "rendered"}, "posenet_sheared disentangled"),
-        (READ, {"pins__direct_convolved": (8,)}, "posenet_sheared disentangled"),
+        (READ, {"pins__direct_conv_channels": (8,)}, "posenet_sheared disentangled"),
     ],
 )
 def test_a_setting_concerns_the_networks_that_use_it(base, fields, concerned):
@@ -73,7 +73,9 @@ def test_a_setting_concerns_the_networks_that_use_it(base, fields, concerned):
 
 @pytest.mark.parametrize("field", ["labelled", "unlabelled", "pairing", "direct_taps"])
 def test_the_origin_of_a_network_says_how_it_uses_recordings(field):
-    value = {"labelled": 0.1, "unlabelled": "read", "pairing": "nearest"}.get(field, "recorded")
+    value = {"labelled": 0.1, "unlabelled": "pseudo_label", "pairing": "nearest"}.get(
+        field, "recorded"
+    )
     other = replace_field(RECORDED_PINS, f"paired.{field}", value)
     for name in RECORDED_NETWORKS:
         origins, sources = [], []

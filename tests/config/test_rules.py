@@ -10,10 +10,10 @@ from jaxunshear.errors import UserError
 PLAIN = Experiment(name="plain", claim="none")
 PAIR = "--networks disentangled,posenet"
 PINS = f"{PAIR} --unshear.input pins"
-SHARED = f"{PINS} --paired.poses_a_slide 2"
-TURNED = "--unshear.input pins --pins.turned 1"
-CONVOLVED = "--unshear.input pins --pins.direct_convolved"
-APART = f"{PAIR} --unshear.apart true"
+SHARED = f"{PINS} --paired.poses_per_slide 2"
+TURNED = "--unshear.input pins --pins.rotated_share 1"
+CONVOLVED = "--unshear.input pins --pins.direct_conv_channels"
+APART = f"{PAIR} --unshear.separate_encoders true"
 TAUGHT = f"{APART} --train.losses.slide 1"
 SURFACE = "--paired.stimuli surface --pose.stimuli surface"
 LEAN = "--paired.ranges.tilt_deg 9 --pose.ranges.tilt_deg 9"
@@ -26,7 +26,7 @@ SMALL = " ".join(
 OUT_OF_BOUNDS = """
 train.epochs 0, train.epochs -3, train.epochs inf, train.batch 0, train.learning_rate -0.001,
 train.learning_rate nan, train.learning_rate 0, train.schedule linear, train.beta1 1,
-train.averaging 1.5, train.l1 -1, train.kernels norm, train.shift 0.7, train.validate_every 0,
+train.ema_decay 1.5, train.l1 -1, train.kernels norm, train.shift 0.7, train.validate_every 0,
 train.optimiser sgd, train.validation_images 0, train.crop_px 129, paired.poses 0, pose.poses -1,
 paired.slides 0, paired.taps 0, paired.seed -1, seed 3000000000, paired.ranges.depth_min_mm 0,
 paired.ranges.move_mm -1, paired.ranges.yaw_deg 200, paired.ranges.lateral_mm 100,
@@ -68,7 +68,7 @@ REFUSED = {
             "takes two slides to a pose",
         ),
         (
-            f"{PINS} --targets edge_mm --pins.turned 1 --train_pins.losses.tap_identity 1",
+            f"{PINS} --targets edge_mm --pins.rotated_share 1 --train_pins.losses.tap_identity 1",
             "pins as they are",
         ),
         (f"{PINS} --train_pins.losses.counterfactual 1", "takes simulated slides"),
@@ -87,8 +87,11 @@ REFUSED = {
         ("--train.paired_share 0.1", "leave it at 1"),
         ("--train.losses.pose_tap 0.1 --train_teacher.crops 5", "leave it at 100"),
         (f"{CONVOLVED} 4,6 --networks posenet", "changes none of the networks"),
-        ("--pins.direct_convolved 4 --networks posenet_sheared", "changes none of the networks"),
-        ("--pins.turned 1 --targets edge_mm", "changes none of the networks"),
+        (
+            "--pins.direct_conv_channels 4 --networks posenet_sheared",
+            "changes none of the networks",
+        ),
+        ("--pins.rotated_share 1 --targets edge_mm", "changes none of the networks"),
     ],
     "batches": [
         ("--train_teacher.batch 100000 --train.losses.pose_tap 0.1", "--train_teacher.batch 1"),
@@ -102,11 +105,11 @@ REFUSED = {
             (f"{SHARED} --pins.shear_code 0 --train_pins.losses.{loss} 1", "raise pins.shear_code")
             for loss in ("counterfactual", "code_agreement", "slide")
         ),
-        ("--paired.poses_a_slide 2 --train.losses.slide 1", "set unshear.apart"),
+        ("--paired.poses_per_slide 2 --train.losses.slide 1", "set unshear.separate_encoders"),
         (APART, "raise train.losses.slide"),
         (f"{TAUGHT} --unshear.shear_channels 0", "the size of the shear code"),
         (f"{TAUGHT} --train.losses.counterfactual 1", "takes simulated slides"),
-        (f"{PINS} --pins.apart true", "raise train_pins.losses.slide"),
+        (f"{PINS} --pins.separate_encoders true", "raise train_pins.losses.slide"),
         ("--train.paired_share 0", "use a share above 0"),
         (f"{PINS} --train_pins.losses.code_agreement 1 --train_pins.paired_share 0.1", "partners"),
     ],
@@ -165,7 +168,7 @@ REFUSED = {
         (f"--targets depth_mm,tilt_x_deg {LEAN} --other_tilts_deg 0", "does not vary"),
     ],
     "slides and tilts": [
-        ("--paired.poses_a_slide 0", "must be at least 1"),
+        ("--paired.poses_per_slide 0", "must be at least 1"),
         ("--paired.ranges.twist_deg -1", "--paired.ranges.twist_deg -1.0: use 0 to 90"),
         ("--pose.ranges.tilt_deg 61", "use 0 to below 60, where the dome's contact ends"),
         ("--pose.ranges.tilt_deg 25", "goes to 5.2 mm at a tilt of 25 deg"),
@@ -193,12 +196,12 @@ ACCEPTED = [
     f"{SURFACE} --targets depth_mm",
     f"{SURFACE} {LEAN} --targets depth_mm,tilt_x_deg,tilt_y_deg",
     "--paired.stimuli edge --pose.stimuli edge",
-    f"{PINS} --pins.turned 1 --targets edge_mm,edge_deg:circle,depth_mm",
+    f"{PINS} --pins.rotated_share 1 --targets edge_mm,edge_deg:circle,depth_mm",
     f"{CONVOLVED} 4,6 --networks posenet_sheared",
     f"{SHARED} --train_pins.losses.counterfactual 1",
     f"{PINS} --train_pins.losses.code_agreement 1",
     f"{TAUGHT} --train.losses.code_agreement 1",
-    f"{TAUGHT} --paired.poses_a_slide 2 --train.losses.counterfactual 1",
+    f"{TAUGHT} --paired.poses_per_slide 2 --train.losses.counterfactual 1",
     f"{PINS} --train_pins.losses.tap_identity 1 --train_pins.paired_share 0.1",
     f"{DEEP} --other_tilts_deg 0,25 --other_twists_deg 0,20",
     "--paired.ranges.twist_deg 20 --train.losses.pose_label 1",

@@ -100,9 +100,11 @@ def test_a_training_of_another_version_is_neither_continued_nor_read(tmp_path):
     for act in (read_net, lambda folder: write_settings(folder, settings)):
         with pytest.raises(UserError, match=OTHER):
             act(tmp_path)
-    del settings["net"]["apart"]
+    del settings["net"]["separate_encoders"]
     write_json(tmp_path / "model.json", settings)
-    with pytest.raises(UserError, match=r"'apart' \(files of version 0\.2\.0 and earlier"):
+    with pytest.raises(
+        UserError, match=r"'separate_encoders' \(files of version 0\.2\.0 and earlier"
+    ):
         read_net(tmp_path)
 
 

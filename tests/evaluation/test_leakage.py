@@ -34,10 +34,10 @@ EXPERIMENT = Experiment(
     claim="none",
     networks=("disentangled",),
     sensor=SENSOR,
-    paired=PairedData(**CONTACTS, poses=60, slides=2, poses_a_slide=2),
+    paired=PairedData(**CONTACTS, poses=60, slides=2, poses_per_slide=2),
     pose=PoseData(**CONTACTS, poses=10),
     unshear=UnshearNet(size=SIZE, widths=(4, 4), input="pins"),
-    pins=PinNet(hidden=8, layers=1, pose_code=3, shear_code=2, apart=True),
+    pins=PinNet(hidden=8, layers=1, pose_code=3, shear_code=2, separate_encoders=True),
     train_pins=Training(
         epochs=2,
         batch=8,
@@ -264,7 +264,9 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
     """
     losses = {"counterfactual": 1.0, "code_agreement": 0.1, "slide": 1.0}
     training = Training(epochs=1, batch=8, crop_px=8, losses={**Training.losses, **losses})
-    net = UnshearNet(size=SIZE, widths=(4, 4), pose_channels=4, shear_channels=2, apart=True)
+    net = UnshearNet(
+        size=SIZE, widths=(4, 4), pose_channels=4, shear_channels=2, separate_encoders=True
+    )
     images = dataclasses.replace(EXPERIMENT, unshear=net, pins=PinNet(), train=training)
     run_stages(images, ("disentangled",), tmp_path, folder / "data", "none")
     run = tmp_path / "toy"

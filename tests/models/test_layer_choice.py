@@ -90,7 +90,7 @@ def test_they_are_the_same_function_in_double_precision(name):
 
 
 def test_a_trunk_over_pins_is_the_same_with_plain_layers():
-    net = PinUnshear(hidden=8, layers=1, convolved=(4, 6))
+    net = PinUnshear(hidden=8, layers=1, conv_channels=(4, 6))
     rest = np.stack(np.meshgrid(np.arange(6.0), np.arange(6.0)), -1).reshape(-1, 2) * 7
     variables = pin_networks.init(net, rest, 2.0, jax.random.key(0))
     pins = rest[None] + jax.random.normal(jax.random.key(1), (3, *rest.shape))

@@ -41,7 +41,8 @@ def moved(seed=1, count=3):
 
 
 @pytest.mark.parametrize(
-    ("jit", "changes"), [(False, {}), (True, {}), (True, {"convolved": (4, 6), "apart": True})]
+    ("jit", "changes"),
+    [(False, {}), (True, {}), (True, {"conv_channels": (4, 6), "separate_encoders": True})],
 )
 def test_shapes_and_batches(jit, changes):
     net, variables = made(PinUnshear, **changes)
@@ -55,9 +56,9 @@ def test_shapes_and_batches(jit, changes):
     np.testing.assert_allclose(alone, canonical[1], rtol=1e-5, atol=1e-4)
 
 
-@pytest.mark.parametrize("apart", [False, True])
-def test_released_weights_give_the_pose_code_and_say_so(apart):
-    net, variables = made(PinUnshear, apart=apart)
+@pytest.mark.parametrize("separate_encoders", [False, True])
+def test_released_weights_give_the_pose_code_and_say_so(separate_encoders):
+    net, variables = made(PinUnshear, separate_encoders=separate_encoders)
     released, pins = drop_parts(variables, "shear", "DS", "ES"), moved()
     with pytest.warns(Note, match="z_p alone"):
         z_p, z_s = encode(net, released, pins)
@@ -85,9 +86,9 @@ def test_no_shear_code_builds_no_ds():
     assert encode(net, variables, moved())[1] is None
 
 
-@pytest.mark.parametrize("convolved", [(), (4, 6)])
-def test_a_pin_that_is_not_seen_counts_as_one_that_has_not_moved(convolved):
-    net, variables = made(PinPoseNet, 4, convolved=convolved)
+@pytest.mark.parametrize("conv_channels", [(), (4, 6)])
+def test_a_pin_that_is_not_seen_counts_as_one_that_has_not_moved(conv_channels):
+    net, variables = made(PinPoseNet, 4, conv_channels=conv_channels)
     pins = moved()
     outputs = predict(net, variables, pins.at[:, 7].set(jnp.nan))
     assert outputs.shape == (3, 4) and np.isfinite(outputs).all()
@@ -97,8 +98,8 @@ def test_a_pin_that_is_not_seen_counts_as_one_that_has_not_moved(convolved):
 
 
 def test_what_convolves_has_no_dense_trunk_and_sees_every_pin():
-    net, variables = made(PinUnshear, convolved=(4, 6))
-    posenet, weights = made(PinPoseNet, 4, convolved=(4, 6))
+    net, variables = made(PinUnshear, conv_channels=(4, 6))
+    posenet, weights = made(PinPoseNet, 4, conv_channels=(4, 6))
     norms = {f"LayerNorm_{i}" for i in range(3)}
     assert set(variables["params"]["E"]) == {"Conv_0", "Conv_1", "Dense_0"} | norms
     assert set(variables["params"]["DC"]) == {"Trunk_0", "Dense_0"}
@@ -149,11 +150,11 @@ def test_both_decoders_draw_from_the_codes():
 
 
 @pytest.mark.parametrize(
-    ("apart", "untaught"), [(True, {"E", "pose", "ES", "shear", "DC"}), (False, {"DC"})]
+    ("separate_encoders", "untaught"), [(True, {"E", "pose", "ES", "shear", "DC"}), (False, {"DC"})]
 )
-def test_apart_the_sheared_pins_teach_no_code(apart, untaught):
+def test_apart_the_sheared_pins_teach_no_code(separate_encoders, untaught):
     """By gradients that are exactly zero, of what was exchanged, too."""
-    net, variables = made(PinUnshear, apart=apart)
+    net, variables = made(PinUnshear, separate_encoders=separate_encoders)
 
     def draw(given):
         decoded, _ = reconstruct(net, given, moved(), jax.random.key(0), moved(2), moved(3))
@@ -163,7 +164,7 @@ def test_apart_the_sheared_pins_teach_no_code(apart, untaught):
 
 
 def test_exchanged_codes_are_those_they_are_called():
-    net, variables = made(PinUnshear, apart=True)
+    net, variables = made(PinUnshear, separate_encoders=True)
     own, same_pose, same_slide = moved(1), moved(2), moved(3)
 
     def exchange(*partners):

@@ -19,7 +19,7 @@ quick_init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=get_com
 KEY = jax.random.key(0)
 NET = UnshearNet(size=32, widths=(6, 8, 8), pose_channels=4, shear_channels=3)
 ENTANGLED = UnshearNet(size=32, widths=(6, 8, 8), disentangled=False)
-APART = replace(NET, apart=True)
+APART = replace(NET, separate_encoders=True)
 
 
 @pytest.fixture(scope="module")

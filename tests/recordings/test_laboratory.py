@@ -324,12 +324,12 @@ def test_a_direct_posenet_that_convolves_serves_at_every_door(
     """It also learns from rendered taps; nothing else reads its settings."""
     places = ("--out", tmp_path / "runs", "--data", place / "datasets")
     short = (*SHORT[:2], "--train_pins.epochs", "3", *SHORT[4:-2], "--paired.validation", "0.2")
-    asked = ("--pins.direct_convolved", "4,6", "--paired.direct_taps", "rendered")
+    asked = ("--pins.direct_conv_channels", "4,6", "--paired.direct_taps", "rendered")
     words = ("--name", "direct", "--networks", "posenet_sheared", *short, *asked)
     succeed(command, "run", EXPERIMENT, "--recordings", recording, *places, *words)
     run = tmp_path / "runs" / "direct"
     kept = json.loads((run / "posenet_sheared" / "model.json").read_text())
-    assert kept["net"]["convolved"] == [4, 6] and kept["net"]["direct_convolved"] == []
+    assert kept["net"]["conv_channels"] == [4, 6] and kept["net"]["direct_conv_channels"] == []
     assert kept["origin"]["direct_taps"] == "rendered" and (run / "renderer").is_dir()
     last = json.loads((run / "posenet_sheared" / "log.jsonl").read_text().splitlines()[-1])
     assert last["train"]["rendered_pose"] > 0 and "rendered_pose" not in last["validation"]
@@ -354,7 +354,14 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     """Here with slides that have no label, whose poses are read."""
     folders = ("--taps", recording / "tap", "--slides", recording / "shear")
     places = ("--out", tmp_path / "runs", "--data", place / "datasets")
-    few = ("--paired.labelled", "0.4", "--paired.unlabelled", "read", "--pins.turned", "0.5")
+    few = (
+        "--paired.labelled",
+        "0.4",
+        "--paired.unlabelled",
+        "pseudo_label",
+        "--pins.rotated_share",
+        "0.5",
+    )
     epochs, networks = ("--train_pins.epochs", "8"), ("--networks", "disentangled,posenet")
     short = (*SHORT[:2], *epochs, *SHORT[4:], *networks)
     answer = command(
@@ -377,8 +384,10 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     assert error["unsheared"]["Rz_deg"] < 0.8 * error["sheared"]["Rz_deg"]
     reader = json.loads((ours / "posenet_sheared" / "model.json").read_text())
     unshears = json.loads((ours / "disentangled" / "model.json").read_text())
-    assert reader["net"]["turned"] == 0.5 and reader["origin"]["labelled"] == 0.4
-    assert unshears["origin"]["unlabelled"] == "read" and "unlabelled" not in reader["origin"]
+    assert reader["net"]["rotated_share"] == 0.5 and reader["origin"]["labelled"] == 0.4
+    assert (
+        unshears["origin"]["unlabelled"] == "pseudo_label" and "unlabelled" not in reader["origin"]
+    )
     reported = (ours / "report.html").read_text()
     assert "Labels of 40% of the training slides teach" in reported
     assert "posenet_sheared</code> reads off them" in reported
@@ -440,11 +449,14 @@ REFUSED = [
     ("--paired.split session", "is unknown: use one of random, block, folder"),
     ("--paired.split folder", "no folder of taps has the name of the split 'test'"),
     ("--paired.labelled 0", "a share above 0"),
-    ("--paired.unlabelled guessed", "is unknown: use one of left_out, read"),
-    ("--paired.unlabelled read --paired.pairing pose_id", "give no partner for pairing pose_id"),
-    ("--pins.turned 0.5", "changes none of the networks"),
+    ("--paired.unlabelled guessed", "is unknown: use one of left_out, pseudo_label"),
     (
-        "--pins.turned 0.5 --unshear.input pins --networks disentangled,posenet",
+        "--paired.unlabelled pseudo_label --paired.pairing pose_id",
+        "give no partner for pairing pose_id",
+    ),
+    ("--pins.rotated_share 0.5", "changes none of the networks"),
+    (
+        "--pins.rotated_share 0.5 --unshear.input pins --networks disentangled,posenet",
         "changes none of the networks",
     ),
     (
@@ -453,8 +465,11 @@ REFUSED = [
     ),
     ("--paired.pairing simulated --unshear.input pins", "yours has 127"),
     ("--networks unet --unshear.input pins", "unet does not read pins"),
-    ("--pins.direct_convolved 4", "changes none of the networks"),
-    ("--pins.direct_convolved 4 --pins.turned 0.5 --unshear.input pins", "leave pins.turned at 0"),
+    ("--pins.direct_conv_channels 4", "changes none of the networks"),
+    (
+        "--pins.direct_conv_channels 4 --pins.rotated_share 0.5 --unshear.input pins",
+        "leave pins.rotated_share at 0",
+    ),
     ("--paired.direct_taps rendered", "rendered is for networks over pins: use recorded"),
     ("--paired.direct_taps recorded --networks posenet", "changes none of the networks"),
     ("--paired.direct_taps recorded --paired.pairing simulated", "and direct_taps at none"),

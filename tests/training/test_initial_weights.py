@@ -133,7 +133,7 @@ def test_released_weights_say_what_they_learnt_from(name):
 
 def trained(folder, start):
     """One step so short that weights stay where they begin."""
-    still = {"learning_rate": 1e-12, "averaging": 0.0, "l1": 0.0, "l2": 0.0}
+    still = {"learning_rate": 1e-12, "ema_decay": 0.0, "l1": 0.0, "l2": 0.0}
     training = replace(small.TRAINING, epochs=0.25, **still)
     return small.train(folder, training=training, provenance=trainer.Provenance(start=start))
 

@@ -165,7 +165,7 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin(kind, make, name):
 def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
     supervision = Supervision(slides=make_slide_targets(Ranges(move_mm=2.0, twist_deg=5.0)))
     training = name_losses(slide=3.0)
-    net, task, variables = make_task(training, supervision, shear_code=4, apart=True)
+    net, task, variables = make_task(training, supervision, shear_code=4, separate_encoders=True)
     assert task.weights["slide"] == 3.0
     given = batch()
     z_s = np.asarray(encode(net, variables, given["sheared_pins"])[1])
@@ -185,7 +185,9 @@ def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
 
 
 def test_exchanged_codes_are_compared_in_validation_too():
-    _, task, variables = make_task(name_losses(counterfactual=2.0, code_agreement=0.5), apart=True)
+    _, task, variables = make_task(
+        name_losses(counterfactual=2.0, code_agreement=0.5), separate_encoders=True
+    )
     given = batch()
     tap = task.validate(variables, given | {"sheared_pins": given["canonical_pins"]})
     assert np.all(tap["code_agreement"] == 0)  # without partners it is that of a slide and its tap

@@ -107,7 +107,7 @@ def test_a_weight_takes_a_teacher_and_targets(teacher, training):
 
 
 def test_exchanged_codes_are_taught_if_partners_are_given():
-    net, batch = replace(small.NET, apart=True), small.pair(3, 4)
+    net, batch = replace(small.NET, separate_encoders=True), small.pair(3, 4)
     weights = {"counterfactual": 2.0, "code_agreement": 0.5}
 
     def make(**weights):

@@ -254,7 +254,7 @@ def test_overfits_four_images(tmp_path):
     net = UnshearNet(size=32, widths=(8, 16, 16), pose_channels=16, shear_channels=16)
     four = small.pair(7, 4, 32)
     steps = {"epochs": 450, "batch": 4, "learning_rate": 5e-3, "validate_every": 225}
-    training = Training(**steps, crops=10, crop_px=8, averaging=0.9)
+    training = Training(**steps, crops=10, crop_px=8, ema_decay=0.9)
     data = trainer.TrainingData(lambda start: itertools.repeat(four), lambda: iter([four]), 4)
     trainer.train(make_unshear_task(net, training), training, data, 0, tmp_path)
     variables = checkpoint.load_best(tmp_path)

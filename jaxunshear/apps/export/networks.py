@@ -47,7 +47,7 @@ def _add_unshearnet(graph: OnnxGraph, net: UnshearNet, variables: Variables, ima
 
 def _add_pin_unshear(graph: OnnxGraph, net: PinUnshear, variables: Variables, pins: str) -> str:
     params, motions = variables["params"], _add_motions(graph, variables, pins)
-    if net.convolved:
+    if net.conv_channels:
         encoded = _add_grid_trunk(graph, net, variables, params["E"], motions)
     else:
         encoded = _add_trunk(graph, net, params["E"], motions)
@@ -74,7 +74,7 @@ def _add_posenet(graph: OnnxGraph, net: PoseNet, variables: Variables, images: s
 
 def _add_pin_posenet(graph: OnnxGraph, net: PinPoseNet, variables: Variables, pins: str) -> str:
     params, motions = variables["params"], _add_motions(graph, variables, pins)
-    if not net.convolved:
+    if not net.conv_channels:
         return _add_pin_dense(graph, net, params, motions)
     trunk = _add_grid_trunk(graph, net, variables, params["GridTrunk_0"], motions)
     return _add_dense(graph, params["Dense_0"], trunk)
@@ -181,7 +181,7 @@ def _add_grid_trunk(
     first_axis = graph.add("Slice", on_grid, np.array([0]), np.array([1]), np.array([1]))
     zeros = graph.add("Mul", first_axis, np.float32(0))
     x = graph.add("Concat", on_grid, graph.add("Add", zeros, inside), axis=1)
-    for i in range(len(net.convolved)):
+    for i in range(len(net.conv_channels)):
         stride = 2 if i else 1
         side_after = -(-side // stride)
         padding = max((side_after - 1) * stride + 3 - side, 0)
@@ -196,7 +196,7 @@ def _add_grid_trunk(
         normalised = _add_layer_norm(graph, params[f"LayerNorm_{i}"], channels_last)
         x = graph.add("Transpose", normalised, perm=(0, 3, 1, 2))
     flat = graph.add("Flatten", graph.add("Transpose", x, perm=(0, 2, 3, 1)))
-    norm = params[f"LayerNorm_{len(net.convolved)}"]
+    norm = params[f"LayerNorm_{len(net.conv_channels)}"]
     return _add_layer_norm(graph, norm, _add_dense(graph, params["Dense_0"], flat))
 
 
@@ -217,7 +217,7 @@ def _add_pin_dense(graph: OnnxGraph, net: PinNet, params: Variables, x: str) -> 
     none, so (1, 0) goes into the bias.
     """
     trunk, last = params["Trunk_0"], params["Dense_0"]
-    if net.turned:
+    if net.rotated_share:
         first = trunk["Dense_0"]
         unrotated = {"kernel": first["kernel"][:-2], "bias": first["bias"] + first["kernel"][-2]}
         trunk = trunk | {"Dense_0": unrotated}

@@ -99,9 +99,9 @@ def images(net=NET):
     return ExportedModel(unshears, reads, "unsheared", None, CHECK)
 
 
-def pins(turned=0.0, convolved=(), read_by=()):
-    net = PinUnshear(**PINS, convolved=convolved)
-    reader = PinPoseNet(**PINS, turned=turned, convolved=read_by)
+def pins(rotated_share=0.0, conv_channels=(), read_by=()):
+    net = PinUnshear(**PINS, conv_channels=conv_channels)
+    reader = PinPoseNet(**PINS, rotated_share=rotated_share, conv_channels=read_by)
     reads = TrainedNetwork(reader, drawn_of_pins(reader, OUTPUTS), TARGETS)
     unshears = TrainedNetwork(net, drawn_of_pins(net), ())
     return ExportedModel(unshears, reads, "unsheared", REST, CHECK)
@@ -120,7 +120,7 @@ CASES = {
     "reader of slides": lambda: images()._replace(method="learnt"),
     "pins": pins,
     "pins, turned": lambda: pins(0.5),
-    "pins, convolved": lambda: pins(convolved=(4, 6, 5)),
+    "pins, convolved": lambda: pins(conv_channels=(4, 6, 5)),
     "pins, reader convolved": lambda: pins(read_by=(4, 6)),
 }
 
