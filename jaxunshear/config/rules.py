@@ -143,7 +143,7 @@ def _find_training_problems(experiment: Experiment) -> Iterator[Problem]:
         learns_slide = "slide" in getattr(experiment, group).losses and code > 0
         if get_value(experiment, field) and not learns_slide:
             remedy = f"raise {group}.losses.slide, and the size of the shear code"
-            yield apart, f"leaves z_s to learn from the slide alone: {remedy}"
+            yield field, f"leaves z_s to learn from the slide alone: {remedy}"
     yield from _find_group_problems(experiment, "train_posenet", "reads poses", taps)
     if TEACHER in trained and not pins:
         yield from _find_group_problems(experiment, "train_teacher", "reads poses", taps)
