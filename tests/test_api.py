@@ -29,11 +29,13 @@ def model():
 
 @pytest.fixture(scope="module")
 def images(model):
-    """Draw a few shifted lattices as a camera would show them."""
+    """Draw a few pressed and shifted lattices as a camera would show them."""
     paired = model.experiment.paired
     lattice = compute_rest_lattice(model.experiment.sensor, paired.camera, paired.preprocess)
     push = np.random.default_rng(0).normal(0, 2, (3, 1, 2))
-    drawn = np.asarray(draw_dots(np.float32(lattice.rest + push), 1.5, model.size))[..., 0]
+    offset = lattice.rest - lattice.centre
+    pressed = lattice.rest + 0.1 * offset * np.exp(-np.square(offset).sum(-1) / 600)[:, None]
+    drawn = np.asarray(draw_dots(np.float32(pressed + push), 1.5, model.size))[..., 0]
     return np.stack([model.prepare(np.uint8(255 * frame)) for frame in drawn])
 
 

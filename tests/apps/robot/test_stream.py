@@ -90,7 +90,9 @@ def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
     """One is noise, another has no identified pins; with `force` only the latter is refused."""
     model = TrainedModel(Path("nowhere"), EXPERIMENT)
     rest, size = np.float32(model.lattice.rest), model.preprocess.size
-    pins = np.uint8(255 * np.asarray(draw_dots(rest[None], 1.5, size))[0, ..., 0] + 0.5)
+    offset = rest - rest.mean(axis=0)
+    pressed = rest + 0.1 * offset * np.exp(-np.square(offset).sum(-1) / 600)[:, None]
+    pins = np.uint8(255 * np.asarray(draw_dots(pressed[None], 1.5, size))[0, ..., 0] + 0.5)
     model.targets = ("edge_mm",)
     model._forward = lambda values: (values, {UNSHEARED: {"edge_mm": np.array([0.25])}})
 
