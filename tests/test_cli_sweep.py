@@ -60,7 +60,7 @@ def test_ray_takes_its_address_and_cores(calls, command, monkeypatch):
     )
     assert command("sweep", TINY, "--engine", "ray", "--ray-address", "a:1").code == 0
     assert command("sweep", TINY, "--engine", "ray", "--ray-cores", "4").code == 0
-    assert asked == [("a:1", 2), (None, 4)] and calls[0][4] == "ray"
+    assert asked == [("a:1", 2), (None, 4)] and calls[0][4] == "a runner"
 
 
 @pytest.mark.parametrize(
