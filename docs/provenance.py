@@ -48,7 +48,6 @@ SETTINGS_0_2 = {  # names of settings, and of a value, in commands of version 0.
     "--pins.rotated_share": "--pins.rotated_share",
     "--pins.conv_channels": "--pins.conv_channels",
     "--pins.direct_conv_channels": "--pins.direct_conv_channels",
-    "--paired.poses_per_slide": "--paired.poses_per_slide",
     "read": "pseudo_label",
 }
 NOTE = "<sub>From "

@@ -33,7 +33,7 @@ FITTED_256: Json = FITTED | {
     "preprocess": Preprocess(size=256),
 }
 PAPER: Json = FITTED_256 | {"poses": 200, "tap_depth_jitter_mm": 1.0}
-SHARED_SLIDES: Json = {"slides": 4, "poses_per_slide": 4}
+SHARED_SLIDES: Json = {"slides": 4, "poses_a_slide": 4}
 SKIN_RANGES: Json = FITTED | {  # contacts such as recordings of an edge have
     "stimuli": ("edge", "disk", "clover", "teardrop"),
     "ranges": Ranges(

@@ -140,7 +140,7 @@ class PairedData(SimulatedData, SourceSettings):
     taps: Count = 1  # canonical images per pose
     slides: Count = 2  # sheared images per pose
     # poses of a split that share their slides, so that codes can be swapped
-    poses_per_slide: Count = 1
+    poses_a_slide: Count = 1
     # how far a tap may miss its slide's depth, mm (the paper: 1.0)
     tap_depth_jitter_mm: float = 0.0
 

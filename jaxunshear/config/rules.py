@@ -186,7 +186,7 @@ REMEDIES: dict[Requirement, str] = {  # if a loss requires what an experiment la
     "codes": "takes codes of separate encoders: set unshear.separate_encoders; "
     "over pins raise pins.shear_code, and leave pins.rotated_share at 0",
     "shared slides": "takes simulated slides that poses share, two at least: "
-    "raise paired.poses_per_slide and paired.slides",
+    "raise paired.poses_a_slide and paired.slides",
     "two slides": "takes two slides to a pose: raise paired.slides",
     "simulated": "takes simulated contacts: leave it out",
     "still pins": "takes pins as they are: leave it out, or pins.rotated_share at 0",
@@ -201,7 +201,7 @@ def _meet_requirements(experiment: Experiment, modality: InputKind) -> dict[Requ
     has_image_codes = experiment.unshear.separate_encoders and not uses_pins(experiment)
     return {
         "codes": has_pin_codes if modality == "pins" else has_image_codes,
-        "shared slides": has_two_slides and getattr(paired, "poses_per_slide", 0) > 1,
+        "shared slides": has_two_slides and getattr(paired, "poses_a_slide", 0) > 1,
         "two slides": has_two_slides,
         "simulated": paired.is_simulated,
         "still pins": is_still,

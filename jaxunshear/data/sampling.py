@@ -112,14 +112,14 @@ def _sample_moves(settings: PairedData, stimulus: str, yaw: np.ndarray) -> np.nd
 def find_slide_leaders(settings: PairedData, stimulus: str) -> np.ndarray:
     """Find for each pose (poses,) the number of the pose whose slides it has.
 
-    It is the first of `poses_per_slide` poses of its split.
+    It is the first of `poses_a_slide` poses of its split.
     """
     split = assign_splits(settings.seed, stimulus, settings.poses)
     leader = np.arange(settings.poses)
     for index in range(len(SPLITS)):
         members = np.flatnonzero(split == index)
         rank = np.arange(len(members))
-        leader[members] = members[rank // settings.poses_per_slide * settings.poses_per_slide]
+        leader[members] = members[rank // settings.poses_a_slide * settings.poses_a_slide]
     return leader
 
 

@@ -94,7 +94,7 @@ class DataSource:
         self.experiment = experiment
         self.settings: Any = experiment.paired
         # whether poses share slides, so that a batch can have the partners of `FactorialReader`
-        self.shares_slides = getattr(self.settings, "poses_per_slide", 1) > 1
+        self.shares_slides = getattr(self.settings, "poses_a_slide", 1) > 1
 
     def read_rows(self, split: str) -> "Batch":
         """Read all pairs of a split.

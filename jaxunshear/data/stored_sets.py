@@ -272,7 +272,7 @@ def index_shared_slides(rows: Batch, settings: PairedData) -> SharedSlides:
     starts = np.searchsorted(pose[:, 0], np.arange(group.max(initial=-1) + 1))
     place = first.reshape(-1) - starts[group]
     places = np.bincount(pose[:, 0])
-    row = np.full((len(places), settings.poses_per_slide, settings.slides), -1)
+    row = np.full((len(places), settings.poses_a_slide, settings.slides), -1)
     row[group, place, rows["slide_id"]] = np.arange(len(group))
     return SharedSlides(group, place, rows["slide_id"], row, places)
 
@@ -283,7 +283,7 @@ class FactorialReader(SetReader):
     So pose and slide can be combined freely: only a simulator can give the pose of this contact
     after the slide of that one. Partners are drawn by seed and step in training, and once and for
     all in evaluation; where one was dropped, both are the example itself. The sets are made with
-    `paired.poses_per_slide` of two or more.
+    `paired.poses_a_slide` of two or more.
     """
 
     def __init__(self, settings: PairedData, folder: Path, metadata: dict) -> None:

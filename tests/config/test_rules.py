@@ -10,7 +10,7 @@ from jaxunshear.errors import UserError
 PLAIN = Experiment(name="plain", claim="none")
 PAIR = "--networks disentangled,posenet"
 PINS = f"{PAIR} --unshear.input pins"
-SHARED = f"{PINS} --paired.poses_per_slide 2"
+SHARED = f"{PINS} --paired.poses_a_slide 2"
 TURNED = "--unshear.input pins --pins.rotated_share 1"
 CONVOLVED = "--unshear.input pins --pins.direct_conv_channels"
 APART = f"{PAIR} --unshear.separate_encoders true"
@@ -105,7 +105,7 @@ REFUSED = {
             (f"{SHARED} --pins.shear_code 0 --train_pins.losses.{loss} 1", "raise pins.shear_code")
             for loss in ("counterfactual", "code_agreement", "slide")
         ),
-        ("--paired.poses_per_slide 2 --train.losses.slide 1", "set unshear.separate_encoders"),
+        ("--paired.poses_a_slide 2 --train.losses.slide 1", "set unshear.separate_encoders"),
         (APART, "raise train.losses.slide"),
         (f"{TAUGHT} --unshear.shear_channels 0", "the size of the shear code"),
         (f"{TAUGHT} --train.losses.counterfactual 1", "takes simulated slides"),
@@ -168,7 +168,7 @@ REFUSED = {
         (f"--targets depth_mm,tilt_x_deg {LEAN} --other_tilts_deg 0", "does not vary"),
     ],
     "slides and tilts": [
-        ("--paired.poses_per_slide 0", "must be at least 1"),
+        ("--paired.poses_a_slide 0", "must be at least 1"),
         ("--paired.ranges.twist_deg -1", "--paired.ranges.twist_deg -1.0: use 0 to 90"),
         ("--pose.ranges.tilt_deg 61", "use 0 to below 60, where the dome's contact ends"),
         ("--pose.ranges.tilt_deg 25", "goes to 5.2 mm at a tilt of 25 deg"),
@@ -201,7 +201,7 @@ ACCEPTED = [
     f"{SHARED} --train_pins.losses.counterfactual 1",
     f"{PINS} --train_pins.losses.code_agreement 1",
     f"{TAUGHT} --train.losses.code_agreement 1",
-    f"{TAUGHT} --paired.poses_per_slide 2 --train.losses.counterfactual 1",
+    f"{TAUGHT} --paired.poses_a_slide 2 --train.losses.counterfactual 1",
     f"{PINS} --train_pins.losses.tap_identity 1 --train_pins.paired_share 0.1",
     f"{DEEP} --other_tilts_deg 0,25 --other_twists_deg 0,20",
     "--paired.ranges.twist_deg 20 --train.losses.pose_label 1",

@@ -22,7 +22,7 @@ from jaxunshear.data.sampling import find_slide_leaders, sample_pairs
 from jaxunshear.data.stored_sets import FactorialReader, index_shared_slides, make_set
 from jaxunshear.errors import UserError
 
-FOUR = PairedData(config="tiny", stimuli=("disk", "clover"), poses=45, slides=3, poses_per_slide=4)
+FOUR = PairedData(config="tiny", stimuli=("disk", "clover"), poses=45, slides=3, poses_a_slide=4)
 
 
 def slides_of(settings, stimulus):
@@ -55,7 +55,7 @@ def test_a_shared_slide_includes_its_twist():
 
 
 def test_without_sharing_every_pose_has_the_slides_it_always_had():
-    alone = dataclasses.replace(FOUR, poses_per_slide=1)
+    alone = dataclasses.replace(FOUR, poses_a_slide=1)
     assert np.array_equal(find_slide_leaders(alone, "disk"), np.arange(45))
     shots = sample_pairs(alone)
     moves = shots.scenes.move[shots.is_slide]
@@ -64,14 +64,14 @@ def test_without_sharing_every_pose_has_the_slides_it_always_had():
 
 
 def test_poses_and_taps_do_not_depend_on_who_shares():
-    alone, shared = sample_pairs(dataclasses.replace(FOUR, poses_per_slide=1)), sample_pairs(FOUR)
+    alone, shared = sample_pairs(dataclasses.replace(FOUR, poses_a_slide=1)), sample_pairs(FOUR)
     np.testing.assert_array_equal(alone.scenes.pose, shared.scenes.pose)
     np.testing.assert_array_equal(alone.split, shared.split)
 
 
 def test_no_slide_for_less_than_one_pose():
-    with pytest.raises(UserError, match="poses_per_slide = 0"):
-        sample_pairs(dataclasses.replace(FOUR, poses_per_slide=0))
+    with pytest.raises(UserError, match="poses_a_slide = 0"):
+        sample_pairs(dataclasses.replace(FOUR, poses_a_slide=0))
 
 
 def rows(dropped=()):
@@ -112,7 +112,7 @@ def test_partners_are_what_they_are_called(dropped):
 
 @pytest.fixture
 def reader(sensor, engine, paired, tmp_path):
-    settings = dataclasses.replace(paired, poses=20, taps=1, poses_per_slide=2)
+    settings = dataclasses.replace(paired, poses=20, taps=1, poses_a_slide=2)
     metadata = make_set(settings, sensor, tmp_path, engine)
     return FactorialReader(settings, configs.get_set_folder(settings, sensor, tmp_path), metadata)
 

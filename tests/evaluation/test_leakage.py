@@ -34,7 +34,7 @@ EXPERIMENT = Experiment(
     claim="none",
     networks=("disentangled",),
     sensor=SENSOR,
-    paired=PairedData(**CONTACTS, poses=60, slides=2, poses_per_slide=2),
+    paired=PairedData(**CONTACTS, poses=60, slides=2, poses_a_slide=2),
     pose=PoseData(**CONTACTS, poses=10),
     unshear=UnshearNet(size=SIZE, widths=(4, 4), input="pins"),
     pins=PinNet(hidden=8, layers=1, pose_code=3, shear_code=2, separate_encoders=True),
