@@ -45,7 +45,10 @@ TOOL_PROGRAMS = {  # the modules that `python -m` starts from
         f"benchmarks {name}": ("benchmarks.bench_networks",)
         for name in ("train", "infer", "stream")
     },
-    **{f"benchmarks {name}": (f"benchmarks.bench_{name}",) for name in ("sim", "pins", "data")},
+    **{
+        f"benchmarks {name}": (f"benchmarks.bench_{name}",)
+        for name in ("sim", "pins", "lost_pins", "touch", "filter", "data")
+    },
     "benchmarks needs": ("benchmarks.bench_omissions",),
     "benchmarks input": ("benchmarks.bench_input_pipeline",),
     "benchmarks pinnets": ("benchmarks.bench_pin_networks",),

@@ -53,5 +53,7 @@ def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files) 
         r"\]\(((?:examples|experiments|jaxunshear)/[\w/.]+\.(?:py|cpp))\)", r"](\1.txt)", text
     )
     return re.sub(
-        r"\[([^\]]+)\]\((?:jaxunshear/models/fast/compiled|LICENSE|README\.md)\)", r"\1", text
+        r"\[([^\]]+)\]\((?:jaxunshear/models/fast/compiled|LICENSE|CITATION\.cff|README\.md)\)",
+        r"\1",
+        text,
     )

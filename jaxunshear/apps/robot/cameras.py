@@ -18,6 +18,8 @@ from jaxunshear.apps.robot.source_frame import SourceFrame
 from jaxunshear.data.videos import import_opencv, order_colours
 from jaxunshear.errors import UserError
 
+Capture = Any  # OpenCV's, which has no types
+
 CAMERA = "camera"
 URL_SCHEMES = ("rtsp", "rtsps", "rtmp", "http", "https", "udp", "rtp", "srt")
 # OpenCV's numbers, which are the same in all its versions
@@ -112,7 +114,7 @@ def read_camera(
         capture.release()
 
 
-def _read(capture: Any) -> np.ndarray | None:
+def _read(capture: Capture) -> np.ndarray | None:
     """Return a frame; None for a read that failed, by its answer or by an error of OpenCV's."""
     try:
         good, pixels = capture.read()
@@ -121,7 +123,7 @@ def _read(capture: Any) -> np.ndarray | None:
     return pixels if good and np.size(pixels) else None
 
 
-def _open(name: str, device: int | str) -> Any:
+def _open(name: str, device: int | str) -> Capture:
     cv2 = import_opencv()
     is_pipeline = isinstance(device, str) and " ! " in device
     capture = cv2.VideoCapture(device, GSTREAMER) if is_pipeline else cv2.VideoCapture(device)
@@ -135,7 +137,7 @@ def _open(name: str, device: int | str) -> Any:
     raise UserError(f"{name} cannot be opened: is it plugged in, and free?")
 
 
-def _configure(capture: Any, name: str, settings: CameraSettings) -> None:
+def _configure(capture: Capture, name: str, settings: CameraSettings) -> None:
     """Set what is asked for. Raises UserError if the camera refuses; the frames show the size."""
     if settings.size is not None:
         capture.set(WIDTH, settings.size[0])
