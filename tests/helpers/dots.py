@@ -14,3 +14,9 @@ def draw_dots(centres, radius, size=128):
     rows, columns = np.indices((size, size))
     away = np.hypot(columns - centres[:, 0, None, None], rows - centres[:, 1, None, None])
     return ((away <= radius).any(0) * 255).astype(np.uint8)
+
+
+def press(rest, share=0.1):
+    """Move pins (P, 2) px outwards about the middle by a share, as a shape that is touched does."""
+    offset = rest - rest.mean(axis=0)
+    return rest + share * offset * np.exp(-np.square(offset).sum(-1, keepdims=True) / 600)

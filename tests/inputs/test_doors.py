@@ -18,8 +18,8 @@ from jaxunshear.api import Predictions, find_pins
 from jaxunshear.apps.explore.explorer import make_explorer
 from jaxunshear.apps.export.onnx_file import build_onnx
 from jaxunshear.apps.export.parts import load_exported_model
-from jaxunshear.apps.robot.frame_sources import SourceFrame
-from jaxunshear.apps.robot.stream import stream
+from jaxunshear.apps.robot.source_frame import SourceFrame
+from jaxunshear.apps.robot.stream import Outputs, stream
 from jaxunshear.config.sensor import TACTIP_127
 from jaxunshear.config.serialization import RELEASED
 from jaxunshear.data.reader import Reader
@@ -29,10 +29,11 @@ from jaxunshear.evaluation.recorded_results import RecordedTest
 from jaxunshear.metrics.images import ms_ssim, mse, ssim
 from jaxunshear.models import modality
 from jaxunshear.perception.sensor_check import FOREIGN_REASON, invert_image
+from jaxunshear.perception.touch import Touch
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 from jaxunshear.simulator.scene import make_scenes
 from jaxunshear.simulator.simulate import simulate
-from tests.helpers.dots import draw_dots
+from tests.helpers.dots import draw_dots, press
 from tests.helpers.image_files import png_of
 from tests.inputs.cases import Case, run_each
 
@@ -155,9 +156,9 @@ WEIGHTS = [
     Case("weights of other settings", "pose", "one line", pose_by(widen, "do not fit")),
     Case("a target less in model.json", "pose", "one line", pose_by(forget_a_target, "do not fit")),
     Case("weights: LFS pointer", "pose", "is named", pose_by(replace_weights(LFS), "git lfs pull")),
-    Case("weights: empty", "pose", "is named", pose_by(replace_weights(b""), "it is empty")),
+    Case("weights: empty", "pose", "is named", pose_by(replace_weights(b""), "the file is empty")),
     Case("image: LFS pointer", "pose", "is named", read_stub(LFS, "git lfs pull")),
-    Case("image: empty", "pose", "is named", read_stub(b"", "it is empty")),
+    Case("image: empty", "pose", "is named", read_stub(b"", "the file is empty")),
 ]
 MEASURES = [
     Case("floats to 255", "ms_ssim", "refused", score_images(ms_ssim_of_two, 255, NO_RANGE)),
@@ -168,7 +169,7 @@ MEASURES = [
 
 
 class Pictures(NamedTuple):
-    """Images (S, S) uint8 of what cameras of other things show, beside one of the sensor."""
+    """Images (S, S) uint8 of what cameras of other things show, beside a touch of the sensor."""
 
     sensor: np.ndarray
     foreign: dict[str, np.ndarray]
@@ -180,8 +181,8 @@ def draw_pins(rest):
 
 @cache
 def draw_pictures():
-    rest = load_model("standard").rest
-    noise, sensor = np.random.default_rng(0).random((SIZE, SIZE)), draw_pins(rest)
+    pins = press(load_model("standard").rest)
+    noise, sensor = np.random.default_rng(0).random((SIZE, SIZE)), draw_pins(pins)
     left, flat = np.arange(SIZE) < SIZE // 2, compute_pin_lattice(TACTIP_127)
     other = (SIZE - 1) / 2 + 0.375 * SIZE * flat / np.linalg.norm(flat, axis=-1).max()
     foreign = {
@@ -242,9 +243,9 @@ def export_contacts(given):
     offset = rest - rest.mean(axis=0)
     push = np.exp(-np.square(offset).sum(-1, keepdims=True) / 400)
     across, up = np.array([[1, 0], [0, 1]])
-    deep = rest + 0.12 * push * offset + 3 * push * across
-    moved = (rest + 4 * across, rest - 9 * up, deep)
-    images = np.stack([draw_pins(pins) for pins in (rest, *moved)])
+    touched, deep = press(rest), rest + 0.12 * push * offset + 3 * push * across
+    moved = (touched + 4 * across, touched - 9 * up, deep)
+    images = np.stack([draw_pins(pins) for pins in (touched, *moved)])
     sure, confidence, pose, _ = run_exported("standard", "image", images)
     expected = given.standard.predict(images)
     assert sure.all() and not expected.rejection.any()
@@ -280,7 +281,7 @@ def stream_mixed(foreign_count, code):
         sensor, foreign = draw_pictures()
         others = [foreign["noise"], foreign["half covered"]][:foreign_count]
         folder = write_pictures(given.folder / "mixed", [sensor, sensor, *others])
-        answer = given.command("stream", folder, "--model", "standard", "--no-images")
+        answer = given.command("stream", folder, "--model", "standard")
         lines = [json.loads(line) for line in answer.out.splitlines()]
         assert answer.code == code, answer.err
         assert f"2 frames used, {foreign_count} skipped" in answer.err
@@ -383,11 +384,12 @@ def prepare_as_stream(given):
 
     def predict(images):
         shown.append(images[0])
-        return Predictions(None, {}, {}, np.array([FOREIGN_REASON]), np.zeros(1))
+        touch = Touch(*np.full((len(Touch._fields), 1), np.nan))
+        return Predictions(None, {}, {}, np.array([FOREIGN_REASON]), np.zeros(1), touch)
 
     streamed.predict = predict
-    source = (SourceFrame(i, str(i), frame, "") for i, frame in enumerate(frames))
-    stream(source, False, streamed, io.StringIO(), None, False)
+    source = (SourceFrame(i, str(i), frame) for i, frame in enumerate(frames))
+    stream(source, False, streamed, Outputs(io.StringIO()))
     with pytest.warns(Note):
         prepared = [alone.prepare(frame) for frame in frames]
     np.testing.assert_array_equal(prepared, shown)

@@ -62,7 +62,7 @@ STATES = {
     "beside": deform(1.5, middle=(4.0, -3.0)),
     "along columns": deform(2.0, (0.6, 0.0)),
     "along rows": deform(2.0, (0.0, -0.6)),
-    "rotated_share": deform(2.0, turn_deg=4.0),
+    "turned": deform(2.0, turn_deg=4.0),
 }
 
 
@@ -101,7 +101,7 @@ class Door:
 
     def stream(self, name):
         frame = SimpleNamespace(pixels=self.images[name], view=View(), problem="")
-        return streams._answer_frame(self.model, frame, lambda _: View())
+        return streams._answer_frame(self.model, frame)
 
 
 @pytest.fixture
@@ -257,7 +257,7 @@ CASES = [
     Case("beside the middle", PYTHON, "contact", is_touched("beside, shifted")),
     Case("dragged", PYTHON, "shear along the drag", follows_drag("usual")),
     Case("dragged, view shifted", PYTHON, "shear along the drag", follows_drag("shifted")),
-    Case("rotated_share", PYTHON, "turn and curl of its sign", follows_turn),
+    Case("turned", PYTHON, "turn and curl of its sign", follows_turn),
     Case("slight and deep", PYTHON, "more divergence", spreads),
     Case("blank", PYTHON, "NaN", has_nothing(np.zeros((1, 128, 128), np.uint8))),
     Case("random dots", PYTHON, "NaN", has_nothing(NOISE)),
