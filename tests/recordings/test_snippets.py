@@ -1,4 +1,4 @@
-"""The Python snippets of the pages run on frames of a camera, and give answers for them."""
+"""The Python snippets of the pages run, and give answers: for frames of a camera, or simulated."""
 
 import re
 import warnings
@@ -23,7 +23,19 @@ def cells(kind: str) -> str:
     return "\n".join(cell.source for cell in stored if cell.cell_type == kind)
 
 
-TEXTS = {"README.md": (ROOT / "README.md").read_text(), NOTEBOOK: cells("markdown")}
+README = (ROOT / "README.md").read_text()
+TEXTS = {"README.md": README, NOTEBOOK: cells("markdown")}
+PREPARE = "images = np.stack([model.prepare(frame) for frame in frames])"
+
+
+def list_snippets(page: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", TEXTS[page], re.DOTALL)
+
+
+def list_camera_snippets() -> list[str]:
+    """The one of the notebook, and the model that the README names for a camera."""
+    named = re.findall(r"real camera use\s`(load_model\(.*?\))`", README)
+    return [*(f"model = {call}\n{PREPARE}" for call in named), *list_snippets(NOTEBOOK)]
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +53,22 @@ def frames(place):
     return [np.asarray(Image.open(file)) for file in files]
 
 
-@pytest.mark.parametrize("page", TEXTS)
-def test_a_snippet_answers_for_frames_of_a_camera(page, place, frames, monkeypatch):
+def test_the_snippet_of_the_readme_answers_for_simulated_contacts(capsys):
+    """Each contact has an answer, and unsheared ones are nearer to the tap's."""
+    (snippet,) = list_snippets("README.md")
+    names: dict = {}
+    exec(snippet, names)
+    unsheared, sheared = names["unsheared"], names["contacts"].sheared
+    assert unsheared.shape == sheared.shape and np.isfinite(unsheared).all()
+    lines = [line.split(maxsplit=2) for line in capsys.readouterr().out.splitlines()]
+    kinds, errors, rest = zip(*lines, strict=True)
+    assert kinds == ("as_recorded", "unsheared") and {*rest} == {"mm from what the tap gives"}
+    assert 0 < float(errors[1]) < float(errors[0])
+
+
+@pytest.mark.parametrize("snippet", list_camera_snippets(), ids=TEXTS)
+def test_a_snippet_answers_for_frames_of_a_camera(snippet, place, frames, monkeypatch):
     """And says nothing against its weights: these suit a camera."""
-    (snippet,) = re.findall(r"```python\n(.*?)```", TEXTS[page], re.DOTALL)
     names: dict = {"frames": frames, "np": np, "load_model": load_model}
     monkeypatch.chdir(place)
     with warnings.catch_warnings(record=True) as said:
@@ -60,8 +84,8 @@ def test_a_snippet_answers_for_frames_of_a_camera(page, place, frames, monkeypat
 
 def test_weights_for_simulated_images_are_loaded_for_these_alone():
     """No page hands frames to `standard`; its notebook names it for images of the simulator."""
-    for text in TEXTS.values():
-        for snippet in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+    for page in TEXTS:
+        for snippet in list_snippets(page):
             assert "prepare" not in snippet or "standard" not in snippet
     assert "prepare" not in cells("code")
 
