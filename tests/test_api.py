@@ -20,6 +20,7 @@ from jaxunshear.inference.readers import Codes
 from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.simulator.stimuli import STIMULI
+from tests.helpers.dots import press
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +34,8 @@ def images(model):
     paired = model.experiment.paired
     lattice = compute_rest_lattice(model.experiment.sensor, paired.camera, paired.preprocess)
     push = np.random.default_rng(0).normal(0, 2, (3, 1, 2))
-    offset = lattice.rest - lattice.centre
-    pressed = lattice.rest + 0.1 * offset * np.exp(-np.square(offset).sum(-1) / 600)[:, None]
-    drawn = np.asarray(draw_dots(np.float32(pressed + push), 1.5, model.size))[..., 0]
+    pressed = np.float32(press(lattice.rest) + push)
+    drawn = np.asarray(draw_dots(pressed, 1.5, model.size))[..., 0]
     return np.stack([model.prepare(np.uint8(255 * frame)) for frame in drawn])
 
 
