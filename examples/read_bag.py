@@ -1,6 +1,6 @@
 """Poses of a recorded bag of ROS 2, without ROS. Needs numpy and onnxruntime, and robot.py and ros_messages.py beside it.
 
-python examples/read_bag.py touch.onnx bag /camera/image_raw      # a JSON line for each image: its time and its pose
+python examples/read_bag.py touch.onnx bag /camera/image_raw      # a JSON line for each image: its time, and its pose or why there is none
 python examples/read_bag.py --save frames.npy bag /camera/image_raw      # all images in one array
 """
 
@@ -17,7 +17,7 @@ def print_poses(model: str, bag: str, topic: str) -> None:
 
     touch = Touch(model)
     for number, frame in enumerate(read_bag(Path(bag), topic)):
-        line = {"frame": number, "time_s": frame.time_s, "pose": touch.pose(frame.pixels)}
+        line = {"frame": number, "time_s": frame.time_s} | touch.answer(frame.pixels)
         print(json.dumps(line), flush=True)
 
 

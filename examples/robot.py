@@ -10,6 +10,8 @@ import time
 import numpy as np
 import onnxruntime
 
+SCHEMA = 1  # of the lines, as `jaxunshear stream` has them
+
 
 class Touch:
     """A model in memory."""
@@ -23,8 +25,8 @@ class Touch:
         self._dtype = np.uint8 if self._given.type == "tensor(uint8)" else np.float32
         self.answer(np.zeros(self._given.shape[1:], self._dtype))  # the first call is slow
 
-    def answer(self, frame: np.ndarray) -> dict[str, float | str]:
-        """Of one frame, as a line of `jaxunshear stream`: mm and deg by name, and confidence; or why there is no pose.
+    def answer(self, frame: np.ndarray) -> dict[str, float | str | dict[str, float]]:
+        """Of one frame, as in a line of `jaxunshear stream`: confidence, and the pose, mm and deg by name, or why there is none.
 
         "unsheared" is asked for likewise.
         """
@@ -36,18 +38,20 @@ class Touch:
         pose, confidence, sure = (output[0] for output in outputs)
         if not sure:
             return {"confidence": 0.0, "error": self._reason}
-        numbers = dict(zip(self.names, pose, strict=True)) | {"confidence": confidence}
-        return {name: round(float(number), 4) for name, number in numbers.items()}
+        by_name = {
+            name: round(float(number), 4) for name, number in zip(self.names, pose, strict=True)
+        }
+        return {"confidence": round(float(confidence), 4), "pose": by_name}
 
 
 def main(model: str, source: str) -> None:
     touch = Touch(model)
     for number, frame in enumerate(np.load(source)):  # a camera's, on a robot
         came = time.perf_counter()
-        line = {"frame": number, "name": f"{source} {number}"} | touch.answer(frame)
-        if "error" not in line:
-            line["ms"] = round(1e3 * (time.perf_counter() - came), 3)
-        print(json.dumps(line), flush=True)
+        line = {"schema": SCHEMA, "frame": number, "name": f"{source} {number}", "time_s": None}
+        line |= touch.answer(frame)
+        spent = 1e3 * (time.perf_counter() - came)
+        print(json.dumps(line | {"ms": round(spent, 3)}), flush=True)
 
 
 if __name__ == "__main__":

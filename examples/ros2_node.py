@@ -3,7 +3,8 @@
 Needs rclpy, numpy and onnxruntime, and robot.py and ros_messages.py beside it.
 
 python examples/ros2_node.py --ros-args -p model:=touch.onnx -r image:=/camera/image_raw
-It publishes `pose`, a sensor_msgs/JointState: names, and positions in m and rad, with the image's own time.
+It publishes `pose`, a sensor_msgs/JointState: names, and positions in m and rad, with the image's own time. Of an
+image that gets no pose it publishes nothing, and logs why.
 """
 
 import math
@@ -30,9 +31,12 @@ class TouchNode(Node):
 
     def answer(self, image: Image) -> None:
         shape = image.height, image.width
-        pose = self._touch.pose(to_pixels(image.encoding, shape, image.step, bytes(image.data)))
+        line = self._touch.answer(to_pixels(image.encoding, shape, image.step, bytes(image.data)))
+        if "error" in line:
+            self.get_logger().warning(line["error"], throttle_duration_sec=1.0)
+            return
         message = JointState(header=image.header)
-        for name, value in pose.items():  # such as edge_mm
+        for name, value in line["pose"].items():  # such as edge_mm
             quantity, _, unit = name.rpartition("_")
             message.name.append(quantity)
             message.position.append(value * SI[unit])

@@ -96,14 +96,6 @@ def test_examples_of_settings_run(page):
     validate(names["experiment"])
 
 
-@pytest.mark.long
-def test_the_example_of_readme_runs(capsys):
-    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    exec(example, {})
-    errors = dict(line.split()[:2] for line in capsys.readouterr().out.splitlines())
-    assert float(errors["unsheared"]) < float(errors["as_recorded"])
-
-
 def test_one_version():
     named = {re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)[1]}
     named.add(re.search(r"^## (\S+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[1])

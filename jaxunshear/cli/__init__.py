@@ -144,10 +144,10 @@ def _check_names(words: Sequence[str]) -> None:
             hint = _suggest(words[0], COMMANDS) or "; see `jaxunshear --help`"
             raise UserError(f"there is no command '{words[0]}'{hint}")
         return
-    options = ["--", "--help", *(name for name, _ in command.list_options() if name[0] == "-")]
+    options = [name for name, _ in command.list_options() if name[0] == "-"]
     for word in words:
         name = word.partition("=")[0]
-        if name.startswith("--") and name not in options:
+        if name.startswith("--") and name not in ("--", "--help", *options):
             hint = _suggest(name, options) or f"; see `jaxunshear {command.name} --help`"
             raise UserError(f"`{command.name}` takes no {name}{hint}")
 

@@ -31,6 +31,7 @@ from jaxunshear.output_checks import (
 from jaxunshear.results.applications import StreamResult
 
 if TYPE_CHECKING:
+    from jaxunshear.apps.robot.cameras import CameraSettings
     from jaxunshear.inference.trained_model import TrainedModel
 
 SHOWN_PROBLEMS = 5
@@ -44,6 +45,7 @@ def stream(arguments: argparse.Namespace, command: str) -> int:
         return _list_cameras()
     from jaxunshear.data.videos import is_video
 
+    _make_camera_settings(arguments).check()  # before a model is loaded
     source, images = Path(arguments.source), arguments.images
     if images == INLINE:
         images = None
@@ -60,12 +62,10 @@ def stream(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _stream(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> StreamResult:
-    from jaxunshear.apps.robot.cameras import CameraSettings, parse_size
     from jaxunshear.apps.robot.frame_sources import make_label_reader, open_source
     from jaxunshear.apps.robot.stream import Outputs, stream
 
-    size = parse_size(arguments.size) if arguments.size else None
-    settings = CameraSettings(size, arguments.fps, arguments.exposure)
+    settings = _make_camera_settings(arguments)
     model.with_sheared_poses = False
     model.compile(1)
     source = open_source(arguments.source, model.preprocess, settings)
@@ -82,6 +82,13 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> 
     if summary.lost:
         print(f"lost: {summary.lost}", file=sys.stderr)
     return summary
+
+
+def _make_camera_settings(arguments: argparse.Namespace) -> "CameraSettings":
+    from jaxunshear.apps.robot.cameras import CameraSettings, parse_size
+
+    size = parse_size(arguments.size) if arguments.size else None
+    return CameraSettings(size, arguments.fps, arguments.exposure)
 
 
 def _list_cameras() -> int:

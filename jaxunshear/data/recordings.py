@@ -324,7 +324,8 @@ def _read_labels(folder: Path, images: list[Path], notes: list[str]) -> ImageLab
     """Read the labels of a folder's images from its table, the first that has any."""
     names = [image.name for image in images]
     places = dict.fromkeys((folder, images[0].parent))
-    for file in (file for place in places for file in list_tables(place)):
+    # a video has its frames, but no tables, in it
+    for file in (file for place in places if place.is_dir() for file in list_tables(place)):
         try:
             labels, problems = read_targets(read_table(file), names)
         except UserError as error:

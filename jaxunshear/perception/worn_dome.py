@@ -33,6 +33,7 @@ from jaxunshear.perception.pin_track import (
 
 # Limits are between what right and wrong identities of simulated frames have: with 0 to 8 % of
 # pins lost and 0 to 2 % dust, and of 127 pins also under deep contacts of sharp shapes.
+MAX_DETECTED_SHARE = 1.1  # of the pins: among the dots of noise any lattice finds itself
 MAX_WORN_OFFSET = 0.45  # of the spacing, of a pin from its neighbours' motion
 MAX_HOLE_SHARE = 0.1  # of the pins that may be missing within the inner rings
 MIN_NEIGHBOURS = 4  # of NEAREST, seen around such a hole; an outer pin that is sure has more
@@ -65,7 +66,8 @@ def track_worn_pins(lattice: Lattice, detected: DetectedPins, track: PinTrack) -
 
     Return `track` if that does not identify them.
     """
-    if track.identified or len(detected.pins) < MIN_DETECTED_SHARE * len(lattice.rest):
+    share = len(detected.pins) / len(lattice.rest)
+    if track.identified or not MIN_DETECTED_SHARE <= share <= MAX_DETECTED_SHARE:
         return track
     if lattice.intact is not None:
         return add_lost_pins(

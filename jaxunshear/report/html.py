@@ -4,6 +4,7 @@ All text is escaped; only `Markup` is taken as HTML.
 """
 
 import base64
+import html
 import io
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -38,7 +39,7 @@ folded, listed, row, soft, code = map(get_macro, ("folded", "listed", "row", "so
 def build_contents(sections: Iterable[Markup]) -> Markup:
     """Build links to the headings of sections."""
     headings = re.findall(r'<h2 id="(.*?)">(.*?)</h2>', "".join(sections))
-    return contents([(Markup(place), Markup(heading)) for place, heading in headings])
+    return contents([(html.unescape(place), html.unescape(heading)) for place, heading in headings])
 
 
 def embed_svg(svg: str, text: str) -> Markup:

@@ -90,10 +90,9 @@ def test_methods_are_those_whose_networks_are_there(model, tmp_path):
     assert list_methods(model_in(tmp_path)) == ("learnt",)
 
 
-def test_an_edge_that_is_none_is_refused(model, tmp_path):
+def test_an_edge_that_is_none_is_refused(tmp_path):
     targets = make_range_targets(("x_mm", "yaw_deg"), Ranges())
-    variables = model.load_network("posenet").variables
-    write_network(tmp_path / "posenet", POSENET, variables, targets)
+    write_network(tmp_path / "posenet", POSENET, init(POSENET, 0, targets), targets)
     with pytest.raises(UserError, match="reads x_mm, yaw_deg: an edge is followed by edge_mm"):
         make_edge_estimators(model_in(tmp_path), ("sheared",))
 

@@ -305,7 +305,9 @@ CASES = [
         "--model",
         RECONSTRUCT,
         "unknown: exit 2",
-        partial(refuse_reconstruction, ("--model", "standard"), "unrecognized arguments: --model"),
+        partial(
+            refuse_reconstruction, ("--model", "standard"), "takes no --model; see `jaxunshear"
+        ),
     ),
     Case(
         "a run that is none",

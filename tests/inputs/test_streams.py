@@ -185,7 +185,7 @@ def save(frames, folder):
 def check_folder(door):
     code, _, lines = door.stream(door.folder)
     assert code == 0 and [line["frame"] for line in lines] == list(range(COUNT))
-    fields = {"schema", "frame", "name", "time_s", "confidence", "pose", "ms"}
+    fields = {"schema", "frame", "name", "time_s", "confidence", "touch", "pose", "ms"}
     assert all(line.keys() == fields for line in lines)
     assert {line["time_s"] for line in lines} == {None} and lines[0]["schema"] == 1
 

@@ -296,8 +296,8 @@ def test_a_full_disk_ends_a_stream_in_one_line(command, pins_run, slides, tmp_pa
 
 
 def test_what_walks_in_the_simulator_is_refused_by_name(command, pins_run):
-    for words in (("servo",), ("geometry",), ("reconstruct",)):
-        answer = command(*words, "--model", pins_run)
+    for words in (("servo", "--model"), ("geometry", "--model"), ("reconstruct",)):
+        answer = command(*words, pins_run)
         assert answer.code == 2 and answer.err.count("\n") == 1
         assert "learnt from recordings" in answer.err
 

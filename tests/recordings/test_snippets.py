@@ -53,6 +53,7 @@ def frames(place):
     return [np.asarray(Image.open(file)) for file in files]
 
 
+@pytest.mark.long
 def test_the_snippet_of_the_readme_answers_for_simulated_contacts(capsys):
     """Each contact has an answer, and unsheared ones are nearer to the tap's."""
     (snippet,) = list_snippets("README.md")

@@ -104,7 +104,7 @@ def _decode(number: int, name: str, data: bytes, time_s: float) -> SourceFrame:
     frame = frame._replace(time_s=time_s if math.isfinite(time_s) else time.time())
     try:
         if data.startswith(NPY):
-            return frame._replace(pixels=np.load(io.BytesIO(data), allow_pickle=False))
+            return frame._replace(pixels=np.load(io.BytesIO(data)))
         return frame._replace(pixels=read_image(data))
     except Exception as error:  # broken bytes meet errors of every kind
         return frame._replace(problem=f"this frame is no image: {get_first_line(error)}")

@@ -17,24 +17,38 @@ from onnx import TensorProto, helper
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 TOPIC, SHAPE = "/tactip/image_raw", (4, 6)
+REASON = "not this sensor"
 
 
 @pytest.fixture
 def model(tmp_path):
-    """A file like an exported one: edge_mm is the frame's mean, edge_deg ten times that."""
+    """A file like an exported one: edge_mm is the frame's mean, edge_deg ten times that.
+
+    It is not sure of black frames.
+    """
     given = helper.make_tensor_value_info("frame", TensorProto.UINT8, [None, *SHAPE])
     pose = helper.make_tensor_value_info("pose", TensorProto.FLOAT, [None, 2])
-    weights = helper.make_tensor("weights", TensorProto.FLOAT, [1, 2], [1.0, 10.0])
+    confidence = helper.make_tensor_value_info("confidence", TensorProto.FLOAT, [None])
+    sure = helper.make_tensor_value_info("sure", TensorProto.BOOL, [None])
+    constants = [
+        helper.make_tensor("weights", TensorProto.FLOAT, [1, 2], [1.0, 10.0]),
+        helper.make_tensor("column", TensorProto.INT64, [2], [-1, 1]),
+        helper.make_tensor("black", TensorProto.FLOAT, [], [0.0]),
+        helper.make_tensor("none", TensorProto.FLOAT, [], [math.nan]),
+    ]
     nodes = [
         helper.make_node("Cast", ["frame"], ["float"], to=TensorProto.FLOAT),
         helper.make_node("ReduceMean", ["float"], ["mean"], axes=[1, 2], keepdims=0),
         helper.make_node("Reshape", ["mean", "column"], ["rows"]),
-        helper.make_node("MatMul", ["rows", "weights"], ["pose"]),
+        helper.make_node("MatMul", ["rows", "weights"], ["poses"]),
+        helper.make_node("Greater", ["mean", "black"], ["sure"]),
+        helper.make_node("Cast", ["sure"], ["confidence"], to=TensorProto.FLOAT),
+        helper.make_node("Greater", ["rows", "black"], ["sure_rows"]),
+        helper.make_node("Where", ["sure_rows", "poses", "none"], ["pose"]),
     ]
-    column = helper.make_tensor("column", TensorProto.INT64, [2], [-1, 1])
-    graph = helper.make_graph(nodes, "touch", [given], [pose], [weights, column])
+    graph = helper.make_graph(nodes, "touch", [given], [pose, confidence, sure], constants)
     made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
-    helper.set_model_props(made, {"names": "edge_mm,edge_deg"})
+    helper.set_model_props(made, {"names": "edge_mm,edge_deg", "not_sure": REASON})
     onnx.save(made, tmp_path / "touch.onnx")
     return tmp_path / "touch.onnx"
 
@@ -42,7 +56,7 @@ def model(tmp_path):
 @pytest.fixture
 def ros(monkeypatch):
     """Import an example with stubs of rclpy and sensor_msgs beside it."""
-    sent = []
+    sent, logged = [], []
 
     class Node:
         def __init__(self, name):
@@ -56,6 +70,9 @@ def ros(monkeypatch):
 
         def create_subscription(self, kind, topic, answer, quality):
             self.subscribed = kind, topic, quality.depth
+
+        def get_logger(self):
+            return SimpleNamespace(warning=lambda text, **limits: logged.append(text))
 
         def destroy_node(self):
             sent.append("destroyed")
@@ -85,7 +102,8 @@ def ros(monkeypatch):
     monkeypatch.syspath_prepend(str(EXAMPLES))
     for name in ("robot", "ros_messages", "ros2_node"):
         monkeypatch.delitem(sys.modules, name, raising=False)
-    return SimpleNamespace(parameters=parameters, sent=sent, load=importlib.import_module)
+    load = importlib.import_module
+    return SimpleNamespace(parameters=parameters, sent=sent, logged=logged, load=load)
 
 
 def make_image(pixels, encoding, padding=3):
@@ -135,6 +153,14 @@ def test_the_node_publishes_poses_in_si_with_the_images_time(ros, model):
     assert topic == "pose" and message.header is image.header
     assert message.name == ["edge", "edge"]
     assert message.position == pytest.approx([0.018, math.pi])
+    assert not ros.logged
+
+
+def test_the_node_publishes_no_pose_of_another_sensor(ros, model):
+    ros.parameters["model"] = str(model)
+    node = ros.load("ros2_node").TouchNode()
+    node.answer(make_image(np.zeros(SHAPE, np.uint8), "mono8"))
+    assert not ros.sent and ros.logged == [REASON]
 
 
 def test_the_node_runs_and_is_put_away(ros, model):
@@ -182,7 +208,7 @@ def write_bag(folder, values):
 
 
 def test_a_bag_is_read_without_ros(model, tmp_path):
-    bag, program = write_bag(tmp_path / "bag", (3, 5)), EXAMPLES / "read_bag.py"
+    bag, program = write_bag(tmp_path / "bag", (3, 5, 0)), EXAMPLES / "read_bag.py"
 
     def run(*words):
         words = [sys.executable, program, *words]
@@ -190,11 +216,13 @@ def test_a_bag_is_read_without_ros(model, tmp_path):
 
     done = run(model, bag, TOPIC)
     assert done.returncode == 0, done.stderr
-    first, second = map(json.loads, done.stdout.splitlines())
-    assert first == {"frame": 0, "time_s": 7.5, "pose": {"edge_mm": 3, "edge_deg": 30}}
+    first, second, black = map(json.loads, done.stdout.splitlines())
+    pose = {"edge_mm": 3, "edge_deg": 30}
+    assert first == {"frame": 0, "time_s": 7.5, "confidence": 1, "pose": pose}
     assert second["pose"]["edge_mm"] == 5
+    assert black == {"frame": 2, "time_s": 7.5, "confidence": 0, "error": REASON}
     assert run("--save", tmp_path / "frames.npy", bag, TOPIC).returncode == 0
-    np.testing.assert_array_equal(np.load(tmp_path / "frames.npy")[:, 0, 0], [3, 5])
+    np.testing.assert_array_equal(np.load(tmp_path / "frames.npy")[:, 0, 0], [3, 5, 0])
     done = run(model, bag, "/camera")
     assert done.returncode == 1 and TOPIC in done.stderr and "Traceback" not in done.stderr
     done = run(model, tmp_path, TOPIC)
