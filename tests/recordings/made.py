@@ -101,7 +101,7 @@ def _drawn(pins: np.ndarray, radius: float, size: int) -> np.ndarray:
 
 
 def hide_pins(folder: Path, numbers: list[int]) -> None:
-    """Paint out the pins in the middle, every eighth or so, in images of the older layout.
+    """Paint out the pins in the middle, a sixth of all, in images of the older layout.
 
     A few lost pins would be no reason to refuse an image: the pins around them agree.
     """

@@ -209,7 +209,7 @@ def test_pose_and_stream_leave_them_out_likewise(command, pins_run, slides, some
         else:
             pose = float(rows[line["name"]]["unsheared_y_mm"])
             assert line["pose"]["y_mm"] == pytest.approx(pose, abs=1e-3)
-            assert line.keys() == {*FRAME_FIELDS, "pose", "half_width", "label_error"}
+            assert line.keys() == {*FRAME_FIELDS, "touch", "pose", "half_width", "label_error"}
             for field in ("pose", "half_width", "label_error"):
                 assert line[field].keys() == set(TARGETS)
     mae = json.loads((tmp_path / "stream.json").read_text())["pose_mae"]
