@@ -212,3 +212,29 @@ def tabulate_faults() -> str:
         "{fault}",
         *("{command}", "{cases:,}", "{harmless:,}", "{refused:,}", "{lost:,}", "{silent:,}"),
     )
+
+
+def tabulate_touch() -> str:
+    """Tabulate how well contact, slip and shear of simulated contacts are measured."""
+    return tabulate_rows(
+        "| sensor, image | area under ROC | contacts refused | untouched refused "
+        "| slip, rms (spread) | shear, mm rms (size) | deg rms (size) | interval holds, mm | deg |",
+        [row for row in load_result("bench_touch")["rows"] if "auc" in row],
+        "{name}",
+        *("{auc:.4f}", "{refused:.1%}", "{refused_untouched:.1%}"),
+        "{slip_rms:.2f} ({slip_sd:.2f})",
+        "{shear_rms_mm:.3f} ({shear_sd_mm:.2f})",
+        "{shear_rms_deg:.2f} ({shear_sd_deg:.2f})",
+        *("{inside_mm:.1%}", "{inside_deg:.1%}"),
+    )
+
+
+def tabulate_recorded_touch() -> str:
+    """Tabulate contact, slip and shear of recorded slides by their length."""
+    return tabulate_rows(
+        "| recorded slide | images | refused | least probability | slip | shear, mm | deg |",
+        [row for row in load_result("bench_touch")["rows"] if "auc" not in row],
+        "{name}",
+        *("{images}", "{refused:.1%}", "{least_contact:.3f}", "{slip:.2f}", "{shear_mm:.2f}"),
+        "{shear_deg:.2f}",
+    )

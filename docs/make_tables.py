@@ -85,6 +85,10 @@ TABLES = {
         application_tables.tabulate_filter,
         application_tables.tabulate_lost_pins,
     ),
+    "docs/touch.md": (
+        application_tables.tabulate_touch,
+        application_tables.tabulate_recorded_touch,
+    ),
     "docs/explore.md": (application_tables.tabulate_explorer,),
     "docs/speed.md": (
         simulator_tables.tabulate_training,
