@@ -60,6 +60,8 @@ TABLES = {
     "docs/codes.md": (
         code_tables.tabulate_parted_skin,
         code_tables.tabulate_parted_skin_errors,
+        code_tables.tabulate_parted_skin_images,
+        code_tables.tabulate_parted_skin_images_errors,
         code_tables.tabulate_parted_pins,
         code_tables.tabulate_end_to_end,
         code_tables.tabulate_end_to_end_exchanged,
