@@ -111,7 +111,7 @@ def find_model_folder(model: Path) -> Path:
 def check_unreleased(folder: Path) -> None:
     """Refuse released weights where a run is meant. Raises UserError."""
     weights = find_model_folder(folder)
-    has_card, has_settings = ((weights / name).is_file() for name in (CARD, "experiment.json"))
+    has_card, has_settings = (weights / CARD).is_file(), (weights / "experiment.json").is_file()
     if has_card and has_settings and not (weights / "results.json").is_file():
         raise UserError(
             f"{folder}: released weights hold no contacts and no scores: name a finished run, "

@@ -53,7 +53,9 @@ class ImageLabels(NamedTuple):
     @classmethod
     def join(cls, parts: Sequence[ImageLabels]) -> ImageLabels:
         """Join labels; columns that a part lacks are unknown there."""
-        poses, moves, ids = (np.concatenate([part[i] for part in parts]) for i in range(3))
+        poses = np.concatenate([part.poses for part in parts])
+        moves = np.concatenate([part.moves for part in parts])
+        ids = np.concatenate([part.pose_ids for part in parts])
         counts = [len(part.pose_ids) for part in parts]
         return cls(poses, moves, ids, join_columns([part.others for part in parts], counts))
 

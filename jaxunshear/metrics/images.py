@@ -112,7 +112,8 @@ def _check_range(x: Array) -> None:
     if isinstance(x, jax.core.Tracer) or not x.size:
         return
     values = np.asarray(x)
-    low, high = (float(ends.reduce(values, axis=None)) for ends in (np.fmin, np.fmax))  # of numbers
+    low = float(np.fmin.reduce(values, axis=None))  # of numbers
+    high = float(np.fmax.reduce(values, axis=None))
     if low < -OVERSHOOT or high > 1 + OVERSHOOT:
         raise ValueError(
             f"images in [0, 1] are needed, not of {low:g} to {high:g}: divide by the largest level"

@@ -226,7 +226,8 @@ def find_misfit(net: Net, variables: Variables, outputs: int) -> str:
     found, expected = list_leaves(variables), list_leaves(fresh)
     modules = {get_module(name) for name in found}
     for name in {name for name in expected if get_module(name) in modules} | found.keys():
-        here, there = (tree[name].shape if name in tree else None for tree in (found, expected))
+        here = found[name].shape if name in found else None
+        there = expected[name].shape if name in expected else None
         if here != there:
             return f"{name} is {here or 'missing'}, not {there or 'of this network'}"
     return ""

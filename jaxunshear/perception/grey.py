@@ -124,7 +124,8 @@ def explain_exposure(grey: Float[np.ndarray, "H W"]) -> str:
     if is_binary(grey):
         return ""
     step = max(1, min(grey.shape) // SHARP_SIDE_PX)
-    height, width = (side // step * step for side in grey.shape)
+    height = grey.shape[0] // step * step
+    width = grey.shape[1] // step * step
     small = grey[:height, :width].reshape(height // step, step, width // step, step).mean((1, 3))
     sharpness = np.percentile(np.hypot(*np.gradient(small)), 99) / (high - low)
     return "the frames are blurred: focus the camera" if sharpness < MIN_SHARPNESS else ""

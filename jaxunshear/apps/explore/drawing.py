@@ -137,7 +137,8 @@ def render_dome_svg(result: TouchResult) -> str:
     touched = np.flatnonzero(forces[:, 2] > 0)
     nodes, longest = load_shared_dome(sensor).nodes, np.abs(forces).max(initial=1e-9)
     ends = nodes + LONGEST_MM * forces / longest
-    starts, ends = (_project(points, sensor.dome_radius_mm)[0] for points in (nodes, ends))
+    starts = _project(nodes, sensor.dome_radius_mm)[0]
+    ends = _project(ends, sensor.dome_radius_mm)[0]
     parts += [_draw_arrow(starts[node], ends[node], 1.2, FORCE) for node in touched]
     return "".join(parts)
 

@@ -181,7 +181,8 @@ def add_pin_plausibility(graph: Graph, check: SensorCheck, pins: Value) -> Value
         return total(values, 1)
 
     moments = _Moments(flatten(column), flatten(row), flatten(total(square(place), 1)))
-    count, even_count = (flatten(total(values, 1)) for values in (known, even))
+    count = flatten(total(known, 1))
+    even_count = flatten(total(even, 1))
     check = check._replace(even_share=1.0)
     return _add_plausibility(graph, check, count, even_count, moments)
 

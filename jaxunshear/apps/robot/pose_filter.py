@@ -68,7 +68,8 @@ def _make_state(
     time_s: float, names: Sequence[str], value: np.ndarray, rate: np.ndarray, covariance: np.ndarray
 ) -> FilterState:
     value = _wrap_angles(names, value)
-    values, rates = (dict(zip(names, each.tolist(), strict=True)) for each in (value, rate))
+    values = dict(zip(names, value.tolist(), strict=True))
+    rates = dict(zip(names, rate.tolist(), strict=True))
     return FilterState(time_s, values, rates, covariance)
 
 
