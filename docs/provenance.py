@@ -42,14 +42,6 @@ LOSSES_0_2 = {  # weights of losses in the settings of version 0.2.0, and the lo
     "alike_weight": "consistency",
     "pose_weight": "pose",
 }
-SETTINGS_0_2 = {  # names of settings, and of a value, in commands of version 0.2.0
-    "--pins.separate_encoders": "--pins.separate_encoders",
-    "--unshear.separate_encoders": "--unshear.separate_encoders",
-    "--pins.rotated_share": "--pins.rotated_share",
-    "--pins.conv_channels": "--pins.conv_channels",
-    "--pins.direct_conv_channels": "--pins.direct_conv_channels",
-    "read": "pseudo_label",
-}
 NOTE = "<sub>From "
 
 
@@ -175,8 +167,7 @@ def find_changed_settings(name: str) -> dict[str, tuple[object, object]]:
     stored = result.get("base") or result.get("settings")
     if not stored:
         return {}
-    words = [SETTINGS_0_2.get(word, word) for word in shlex.split(result["command"])[1:]]
-    experiment = read_base([_find_file(word) for word in words])
+    experiment = read_base([_find_file(word) for word in shlex.split(result["command"])[1:]])
     now = _flatten(to_builtins(to_json(experiment)))
     then = _flatten(to_builtins(_read_defaults(experiment))) | _flatten(_name_losses(stored))
     for field in now.keys() ^ then.keys():
