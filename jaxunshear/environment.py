@@ -28,21 +28,21 @@ DEVICE_COUNT = "JAXUNSHEAR_DEVICES"  # devices of a training, see `training/devi
 
 
 def prepare_process() -> None:
-    """Make a program's streams writable, SIGTERM and SIGHUP a stop, and its children find ours.
+    """Make standard streams writable, and have SIGTERM and SIGHUP stop a program as Ctrl-C does.
 
     Without standard streams the next open files would take their numbers, and messages of C++ go
-    there. A `random.py` in the working folder is none of Python's.
+    there. Child processes do not import modules of the working folder, such as a `random.py`.
     """
     os.environ.setdefault("PYTHONSAFEPATH", "1")
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         stream = getattr(sys, name)
-        if stream is None:  # closed by who started this process
+        if stream is None:  # closed by whoever started this process
             mode = os.O_WRONLY if number else os.O_RDONLY
             setattr(sys, name, os.fdopen(os.open(os.devnull, mode), "w" if number else "r"))
         elif number and isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # names in letters that it has not
+            stream.reconfigure(errors="backslashreplace")  # letters that its encoding lacks
     for stop in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(stop) is signal.SIG_DFL:  # else of `nohup`
+        if signal.getsignal(stop) is signal.SIG_DFL:  # `nohup` has it ignored
             signal.signal(stop, _stop)
 
 
@@ -78,7 +78,7 @@ def check_environment() -> None:
     read_device_count()
     platforms = set(os.environ.get("JAX_PLATFORMS", "cpu").split(","))
     if platforms == {"cuda"} and not any(map(os.path.exists, NVIDIA_DEVICES)):
-        raise UserError("JAX_PLATFORMS=cuda: this machine shows no NVIDIA GPU: unset it")
+        raise UserError("JAX_PLATFORMS=cuda: no NVIDIA GPU is on this machine: unset it")
     if not platforms <= COMMON_PLATFORMS:
         import jax  # not for a common one: this process would hold the memory of a GPU
 

@@ -5,7 +5,7 @@ The command line prints either as one line; an error ends the command with exit 
 
 import re
 
-# what a library calls an object of its own: says nothing, and another thing in each process
+# addresses of objects in messages of libraries, which are others in each process
 _ADDRESS = re.compile(r" <_io\.\w+ object at \w+>| at 0x[0-9a-f]+")
 
 

@@ -46,7 +46,7 @@ def check_new_folder(path: Path | None, option: str = "--out") -> None:
 
 
 def _check_place(folder: Path, path: Path, option: str) -> None:
-    """Refuse a folder, there or to be made, in a file, a link to nothing or where rights lack."""
+    """Refuse a folder in a file or behind a dead link, and one that may not be written."""
     folder = folder.absolute()
     nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
     if not nearest.is_dir():

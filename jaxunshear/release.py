@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from jaxunshear.config.networks import REGISTRY
-from jaxunshear.config.serialization import CARD, check_finished
+from jaxunshear.config.serialization import check_finished_run
 from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.config.targets import to_json
 from jaxunshear.errors import UserError
@@ -23,6 +23,7 @@ RELEASED_PARTS = {
     name: kind.released_parts for name, kind in REGISTRY.items() if kind.released_parts is not None
 }
 ORIGIN_FIELDS = ("origin", "data", "start")  # of the training data, kept with the weights
+CARD = "README.md"
 
 
 def release(run_dir: Path, out: Path) -> Path:
@@ -34,7 +35,7 @@ def release(run_dir: Path, out: Path) -> Path:
     from jaxunshear.training.checkpoint import MODEL, write_weights
     from jaxunshear.training.examples import FRAME
 
-    check_finished(run_dir)
+    check_finished_run(run_dir)
     if out.exists():
         raise UserError(f"--out {out} exists: name a new folder")
     settings = read_object(run_dir / "experiment.json")

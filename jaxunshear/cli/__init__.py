@@ -34,14 +34,14 @@ GROUPS = {  # of `jaxunshear --help`
     "study": ("sweep", "compare", "ablate", "validate", "calibrate"),
 }
 USUAL_COMMANDS = {  # what other tools, or earlier versions, call a command: what to type instead
-    **dict.fromkeys(("eval", "test", "score"), "evaluate"),
-    **dict.fromkeys(("predict", "infer", "inference"), "pose` or `unshear"),
-    **dict.fromkeys(("simulate", "generate", "dataset"), "data"),
-    **dict.fromkeys(("check", "verify"), "python -m verification verify"),
-    "stability": "python -m verification stability",
-    **dict.fromkeys(("bench", "benchmark"), "python -m benchmarks"),
-    **dict.fromkeys(("logs", "tensorboard"), "tensorboard --logdir runs"),
-    **dict.fromkeys(("help", "version"), "jaxunshear --help` or `jaxunshear --version"),
+    **dict.fromkeys(("eval", "test", "score"), ("evaluate",)),
+    **dict.fromkeys(("predict", "infer", "inference"), ("pose", "unshear")),
+    **dict.fromkeys(("simulate", "generate", "dataset"), ("data",)),
+    **dict.fromkeys(("check", "verify"), ("python -m verification verify",)),
+    "stability": ("python -m verification stability",),
+    **dict.fromkeys(("bench", "benchmark"), ("python -m benchmarks",)),
+    **dict.fromkeys(("logs", "tensorboard"), ("tensorboard --logdir runs",)),
+    **dict.fromkeys(("help", "version"), ("jaxunshear --help", "jaxunshear --version")),
 }
 FIELDS_HELP = """
 fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, \
@@ -131,9 +131,8 @@ def read_base(argv: Sequence[str]) -> Experiment:
 
 
 def _suggest(name: str, names: Iterable[str]) -> str:
-    near = [USUAL_COMMANDS[name]] if name in USUAL_COMMANDS else []
-    near = near or difflib.get_close_matches(name, list(names), n=1)
-    return f": did you mean `{near[0]}`?" if near else ""
+    near = USUAL_COMMANDS.get(name) or difflib.get_close_matches(name, list(names), n=1)
+    return f": did you mean {' or '.join(f'`{each}`' for each in near)}?" if near else ""
 
 
 def _check_names(words: Sequence[str]) -> None:

@@ -241,9 +241,9 @@ def _parse_pins(text: str) -> tuple[int, ...]:
         raise UserError(f"--without {text}: give numbers of pins, such as 12,40") from None
 
 
-def _name_model(default: str) -> Option:
+def _name_model(default: str, name: str = "--model", **settings: str) -> Option:
     text = f"a finished run (runs/demo), or released weights by name ({default})"
-    return path("--model", "DIR", text, default=Path(default))
+    return path(name, "RUN" if name == "model" else "DIR", text, default=Path(default), **settings)
 
 
 MODEL = _name_model("standard")
@@ -339,13 +339,7 @@ COMMANDS = (
         reconstruct,
         "complete objects from the walks that `servo` left",
         "where they are, and results go (the run's servo)",
-        path(
-            "model",
-            "RUN",
-            "a finished run (runs/demo), or released weights by name (standard)",
-            nargs="?",
-            default=Path("standard"),
-        ),
+        _name_model("standard", "model", nargs="?"),
         STIMULUS,
     ),
 )

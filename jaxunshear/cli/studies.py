@@ -13,7 +13,7 @@ from jaxunshear.cli.program import (
     path,
     write_measurement,
 )
-from jaxunshear.config.serialization import check_finished, check_unreleased, load_settings
+from jaxunshear.config.serialization import check_finished_run, check_unreleased, load_settings
 from jaxunshear.errors import UserError
 from jaxunshear.files import to_builtins, write_bytes, write_json
 from jaxunshear.output_checks import check_not_among
@@ -60,7 +60,7 @@ def validate(arguments: argparse.Namespace, command: str) -> int:
 
 
 def report(arguments: argparse.Namespace, command: str) -> int:
-    check_finished(arguments.run)
+    check_finished_run(arguments.run)
     from jaxunshear.report.report import write_report
 
     print(write_report(arguments.run))

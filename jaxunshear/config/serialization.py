@@ -98,7 +98,6 @@ def _convert_to_tuples(data: object) -> object:
 
 
 RELEASED = Path(__file__).parents[1] / "weights"  # a folder for each name, with a model card
-CARD = "README.md"  # the model card, which no run has
 
 
 def find_model_folder(model: Path) -> Path:
@@ -108,18 +107,16 @@ def find_model_folder(model: Path) -> Path:
     return released if is_name and (released / "experiment.json").is_file() else model
 
 
-def check_unreleased(folder: Path) -> None:
+def check_unreleased(folder: Path, remedy: str = "name a finished run, such as runs/demo") -> None:
     """Refuse released weights where a run is meant. Raises UserError."""
-    weights = find_model_folder(folder)
-    has_card, has_settings = (weights / CARD).is_file(), (weights / "experiment.json").is_file()
-    if has_card and has_settings and not (weights / "results.json").is_file():
+    if any(find_model_folder(folder).glob("*/weights.npz")):
         raise UserError(
-            f"{folder}: released weights hold no contacts and no scores: name a finished run, "
-            f"such as runs/demo, or score them by `jaxunshear evaluate {folder} --recordings DIR`"
+            f"{folder}: released weights hold no contacts and no scores: {remedy}, "
+            f"or score them by `jaxunshear evaluate {folder} --recordings DIR`"
         )
 
 
-def check_finished(folder: Path) -> None:
+def check_finished_run(folder: Path) -> None:
     """Refuse what is not the folder of a finished run. Raises UserError."""
     check_unreleased(folder)
     if not (folder / "results.json").is_file():
@@ -128,11 +125,6 @@ def check_finished(folder: Path) -> None:
         raise UserError(
             f"{folder} holds no results.json: name the folder of a finished run, such as runs/demo"
         )
-
-
-def is_released(model: Path) -> bool:
-    """Return whether a folder holds released weights, which keep no results."""
-    return any(model.glob("*/weights.npz"))
 
 
 def load_settings(model: Path) -> Experiment:

@@ -99,14 +99,16 @@ class Scorer(NamedTuple):
 
     def label_poses(self, batch: Batch, outputs: Outputs) -> dict[str, np.ndarray]:
         """Return the true and the predicted values (B,) as labels `pose.<kind>.<quantity>`."""
-        labels = {}
-        if outputs.poses:
-            poses = {TRUE_KIND: read_true_values(self.targets, batch)}
-            poses |= _cut_poses(outputs.poses, len(batch["stimulus"]))
-            for kind, pose in poses.items():
-                for name, values in pose.items() if kind not in BASELINES else ():
-                    labels[f"pose.{kind}.{name}"] = np.asarray(values)
-        return labels
+        if not outputs.poses:
+            return {}
+        poses = {TRUE_KIND: read_true_values(self.targets, batch)}
+        poses |= _cut_poses(outputs.poses, len(batch["stimulus"]))
+        return {
+            f"pose.{kind}.{name}": np.asarray(values)
+            for kind, pose in poses.items()
+            if kind not in BASELINES
+            for name, values in pose.items()
+        }
 
 
 def score_test(scorer: Scorer, test: TestSet) -> ContactScores:

@@ -218,10 +218,10 @@ def _score_contacts(
         chosen = {name: score for name, score in taps.scores.items() if name.startswith(prefixes)}
         taps = taps._replace(scores=chosen)
     if slides is None and taps is None:
-        pins = (
-            "pins that are identified" if modality.needs_identified_pins else "the right sensor's"
-        )
-        raise UserError(f"nothing can be scored: no {split} slide or tap has a label and {pins}")
+        needed = "pins that are identified"
+        if not modality.needs_identified_pins:
+            needed = "the pins of the model's sensor"
+        raise UserError(f"nothing can be scored: no {split} slide or tap has a label and {needed}")
     return RecordedScores(slides, taps)
 
 
@@ -241,7 +241,7 @@ def _name_sources(modality: Modality, paired: bool | None) -> dict[str, str]:
 def _select_understood(
     modality: Modality, test: RecordedTest, reader: Reader, split: str, paired: bool | None
 ) -> np.ndarray:
-    """Select the rows of a split that the networks answer elsewhere, too."""
+    """Select the rows of a split that `unshear` would answer; `paired` as in `_name_sources`."""
     sources, rows = _name_sources(modality, paired), np.arange(reader.length(split))
     if modality.needs_identified_pins:
         fields = tuple(dict.fromkeys(sources[name] for name in PINS.pair))

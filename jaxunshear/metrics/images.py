@@ -25,7 +25,7 @@ WINDOW = 11  # pixels
 SIGMA = 1.5  # pixels
 C1, C2 = 0.01**2, 0.03**2  # of a dynamic range of 1
 WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # of the scales, finest first
-OVERSHOOT = 0.5  # of floats beyond [0, 1]: more, and they are of another range
+OVERSHOOT = 0.5  # of floats beyond [0, 1], above which they have another range
 _NEAR_ZERO = 1e-9  # a mean contrast-structure below this is the rounding of a spatial mean
 
 
@@ -112,7 +112,7 @@ def _check_range(x: Array) -> None:
     if isinstance(x, jax.core.Tracer) or not x.size:
         return
     values = np.asarray(x)
-    low = float(np.fmin.reduce(values, axis=None))  # of numbers
+    low = float(np.fmin.reduce(values, axis=None))  # without NaN
     high = float(np.fmax.reduce(values, axis=None))
     if low < -OVERSHOOT or high > 1 + OVERSHOOT:
         raise ValueError(

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 
 from jaxunshear.angles import wrap_degrees
 from jaxunshear.config.networks import UNSHEARING
+from jaxunshear.config.targets import get_unit
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import TARGET_KIND, TRUE_KIND, choose_main_kind
 from jaxunshear.files import BROKEN_NPZ, read_npz
@@ -62,7 +63,7 @@ def plot_contacts(contacts: Contacts, names: list[str], words: Wording) -> bytes
             for axes, size in zip(others, sizes, strict=True):
                 _plot_errors(axes, contacts, name, size)
                 quantity = words.depth if size == "depth_mm" else "length of the slide"
-                axes.set(xlabel=f"{quantity}, mm", ylabel=f"mean error, {wording.get_unit(name)}")
+                axes.set(xlabel=f"{quantity}, mm", ylabel=f"mean error, {get_unit(name)}")
         handles, shown = panels[columns - 1].get_legend_handles_labels()
         titles = [words.kinds.get(kind, kind) for kind in shown]
         figure.legend(handles, titles, loc="outside upper center", ncols=len(titles))
@@ -73,12 +74,12 @@ def _plot_scatter(axes: Axes, contacts: Contacts, name: str, kinds: list[str]) -
     true = contacts[f"pose.{TRUE_KIND}.{name}"]
     for kind in kinds:
         predicted = contacts[f"pose.{kind}.{name}"]
-        if wording.get_unit(name) == "deg":  # the short way round
+        if get_unit(name) == "deg":  # the short way round
             predicted = true + wrap_degrees(predicted - true)
         axes.plot(true, predicted, ".", color=_get_colour(kind), label=kind, alpha=0.5, ms=3)
     ends = [true.min(), true.max()]
     axes.plot(ends, ends, color=INK, linewidth=0.8)
-    quantity, unit = wording.name_quantity(name), wording.get_unit(name)
+    quantity, unit = wording.name_quantity(name), get_unit(name)
     axes.set(xlabel=f"true {quantity}, {unit}", ylabel=f"predicted, {unit}")
 
 

@@ -97,13 +97,16 @@ def build_times_section(results: Results, words: Wording, trainings: Trainings) 
             figures.append(html.embed_svg(_plot_error(curves, name, label), text))
     waits = []
     for name, times in results.ms_per_image.items():
-        median, p95 = [
-            f"{ms:.1f}" if ms >= 1 else f"{ms:.2g}" for ms in (times["median"], times["p95"])
-        ]
+        median = _format_ms(times["median"])
+        p95 = _format_ms(times["p95"])
         waits.append(f"{name} {median} ms (95th percentile {p95})")
     text = f"One image at a time, compilation apart: {'; '.join(waits)}."
     note = html.soft(text) if waits else ""
     return wording.section("times", html.row(*figures), note)
+
+
+def _format_ms(ms: float) -> str:
+    return f"{ms:.1f}" if ms >= 1 else f"{ms:.2g}"
 
 
 def build_contacts_section(results: Results) -> Markup:

@@ -120,24 +120,28 @@ def lack_scores(scores, run, tmp_path):
     assert section_of(scores, run, tmp_path) == ""
 
 
-def show_scores(scores, panels, run, tmp_path, monkeypatch):
-    """Count the panels with axes of the section's figure, and read their labels."""
+def keep_figures(monkeypatch):
+    """Return a list that gets each figure that is saved from now on."""
     drawn, save = [], Figure.savefig
     monkeypatch.setattr(Figure, "savefig", lambda f, *a, **k: (drawn.append(f), save(f, *a, **k)))
+    return drawn
+
+
+def show_scores(scores, panels, run, tmp_path, monkeypatch):
+    """Count the panels with axes of the section's figure, and read their labels."""
+    drawn = keep_figures(monkeypatch)
     section = section_of(scores, run, tmp_path)
     assert 'id="contact-by-contact"' in section and "data:image/png" in section
     axes = [each for each in drawn[0].axes if each.axison]
     assert len(axes) == panels
     assert [each.get_ylabel() for each in axes[:2]] == ["predicted, mm", "mean error, mm"]
-    sheared = axes[1].lines[0] if axes[1].lines else None
-    np.testing.assert_allclose(sheared.get_ydata(), 0.5)
+    np.testing.assert_allclose(axes[1].lines[0].get_ydata(), 0.5)
 
 
 def turn_the_short_way(run, monkeypatch):
     true, predicted = np.full(40, 179.0), np.full(40, -179.0)
     scores = make_scores(**{"pose.true.edge_deg": true, "pose.sheared.edge_deg": predicted})
-    drawn, save = [], Figure.savefig
-    monkeypatch.setattr(Figure, "savefig", lambda f, *a, **k: (drawn.append(f), save(f, *a, **k)))
+    drawn = keep_figures(monkeypatch)
     plot_contacts(scores, ["edge_deg"], wording.describe(run[2]))
     np.testing.assert_allclose(drawn[0].axes[0].lines[0].get_ydata(), 181)
 

@@ -53,7 +53,7 @@ DEEPEST_MM, MOST_SLIDE_MM = 6.0, 5.0  # of touches that are compiled beforehand
 FREE, STUCK, SLIPPING = range(3)
 ROUNDING = 1e-3  # of the greatest friction, within which a node slips
 LIMIT_ROUNDING = 1e-6  # mm and deg
-# the page begins with a slide on the disk's edge, of which `standard` takes out most of all errors
+# the page begins with a slide on the disk's edge, whose shear `standard` removes well
 FIRST_POSE, FIRST_MOVE = (0.0, 0.0, 0.0, 3.0), (2.0, 1.5)
 
 
@@ -276,13 +276,10 @@ def _add_predictions(
 
 def compute_likeness(images: Mapping[str, np.ndarray]) -> dict[str, float]:
     """Compute MS-SSIM to the tap of the other images."""
-    tap = images[TAP][None, ..., None] / np.float32(255)
+    scaled = {name: image[None, ..., None] / np.float32(255) for name, image in images.items()}
+    tap = scaled.pop(TAP)
     scales = count_scales(tap.shape[1])
-    return {
-        name: float(ms_ssim(image[None, ..., None] / np.float32(255), tap, scales)[0])
-        for name, image in images.items()
-        if name != TAP
-    }
+    return {name: float(ms_ssim(image, tap, scales)[0]) for name, image in scaled.items()}
 
 
 def describe_limits(touch: Touch, ranges: Ranges) -> str:
