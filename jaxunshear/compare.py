@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxunshear.config.configs import list_differences
-from jaxunshear.config.serialization import check_finished
+from jaxunshear.config.serialization import check_run
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import read_object_if_sound, write_text
@@ -124,7 +124,7 @@ def _make_distinct_names(folders: Sequence[Path]) -> list[str]:
 
 
 def _read_run(name: str, folder: Path) -> Run:
-    check_finished(folder)
+    check_run(folder)
     results = read_record(folder / "results.json", Results, EVALUATE_REMEDY)
     outcome = Outcome(status="done", reason=None, results=results)
     seconds, data = {}, None

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from jaxunshear.config.networks import REGISTRY
-from jaxunshear.config.serialization import CARD, check_finished
+from jaxunshear.config.serialization import CARD, check_run
 from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.config.targets import to_json
 from jaxunshear.errors import UserError
@@ -34,7 +34,7 @@ def release(run_dir: Path, out: Path) -> Path:
     from jaxunshear.training.checkpoint import MODEL, write_weights
     from jaxunshear.training.examples import FRAME
 
-    check_finished(run_dir)
+    check_run(run_dir)
     if out.exists():
         raise UserError(f"--out {out} exists: name a new folder")
     settings = read_object(run_dir / "experiment.json")

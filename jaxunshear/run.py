@@ -14,7 +14,7 @@ from jaxunshear.config import configs
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.networks import TRAINABLE
-from jaxunshear.config.serialization import add_version, from_json, is_released, to_json
+from jaxunshear.config.serialization import add_version, from_json, is_release, to_json
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import hold_lock, read_object, write_json
@@ -52,7 +52,7 @@ def run_stages(
         if network in stages:
             start_folder(experiment, network)  # raises before data are made for nothing
     folder = Path(out) / experiment.name
-    if is_released(folder):
+    if is_release(folder):
         raise UserError(
             f"{folder} holds released weights, which keep no results of their own: score them by "
             f"`jaxunshear evaluate {folder} --recordings DIR`, or give another --out or --name"

@@ -13,7 +13,7 @@ from jaxunshear.cli.program import (
     path,
     write_measurement,
 )
-from jaxunshear.config.serialization import check_finished, check_unreleased, load_settings
+from jaxunshear.config.serialization import check_run, load_settings, refuse_weights
 from jaxunshear.errors import UserError
 from jaxunshear.files import to_builtins, write_bytes, write_json
 from jaxunshear.output_checks import check_not_among
@@ -60,7 +60,7 @@ def validate(arguments: argparse.Namespace, command: str) -> int:
 
 
 def report(arguments: argparse.Namespace, command: str) -> int:
-    check_finished(arguments.run)
+    check_run(arguments.run)
     from jaxunshear.report.report import write_report
 
     print(write_report(arguments.run))
@@ -86,7 +86,7 @@ def release(arguments: argparse.Namespace, command: str) -> int:
 def ablate(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.evaluation import code_swaps, codes, leakage
 
-    check_unreleased(arguments.run)
+    refuse_weights(arguments.run)
     experiment = load_settings(arguments.run)
     if arguments.leakage:
         from jaxunshear.report.leakage_figure import plot_leakage

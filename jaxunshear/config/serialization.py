@@ -108,7 +108,7 @@ def find_model_folder(model: Path) -> Path:
     return released if is_name and (released / "experiment.json").is_file() else model
 
 
-def check_unreleased(folder: Path) -> None:
+def refuse_weights(folder: Path) -> None:
     """Refuse released weights where a run is meant. Raises UserError."""
     weights = find_model_folder(folder)
     has_card, has_settings = (weights / CARD).is_file(), (weights / "experiment.json").is_file()
@@ -119,9 +119,9 @@ def check_unreleased(folder: Path) -> None:
         )
 
 
-def check_finished(folder: Path) -> None:
+def check_run(folder: Path) -> None:
     """Refuse what is not the folder of a finished run. Raises UserError."""
-    check_unreleased(folder)
+    refuse_weights(folder)
     if not (folder / "results.json").is_file():
         if (folder / "experiment.json").is_file():
             raise UserError(f"{folder} is not finished: run its command again, which goes on")
@@ -130,7 +130,7 @@ def check_finished(folder: Path) -> None:
         )
 
 
-def is_released(model: Path) -> bool:
+def is_release(model: Path) -> bool:
     """Return whether a folder holds released weights, which keep no results."""
     return any(model.glob("*/weights.npz"))
 
@@ -169,7 +169,7 @@ def read_preset(file: Path) -> Preset:
 
 def apply_preset(experiment: Experiment, file: Path) -> Experiment:
     """Set the sensor, camera and friction in `file`; frames keep their pixels. Raises UserError."""
-    experiment.paired.get_simulated("--sensor-from")
+    experiment.paired.require_simulation("--sensor-from")
     preset = read_preset(file)
     changed = replace(experiment, sensor=preset.sensor)
     for name in ("paired", "pose"):
