@@ -134,7 +134,7 @@ def _read_text(file: Path) -> str:
         data = file.read_bytes()
     except OSError as error:
         raise make_table_error(file, f"cannot be read ({error.strerror or error})") from None
-    if data and (reason := explain_no_content(data)):
+    if reason := explain_no_content(data):
         raise make_table_error(file, reason)
     try:
         return data.decode("utf-8-sig")
@@ -156,8 +156,7 @@ def _convert_decimal_commas(lines: dict[int, list[str]]) -> dict[int, list[str]]
     has_points = any("." in cell and re.fullmatch(NUMBER, cell) for cell in cells)
     if has_points or all(map(THOUSANDS.fullmatch, commas)):
         return lines
-    known = set(commas)
-    return {
-        number: [cell.replace(",", ".") if cell in known else cell for cell in line]
-        for number, line in lines.items()
-    }
+    points = {cell: cell.replace(",", ".") for cell in commas}
+    for line in lines.values():
+        line[:] = [points.get(cell, cell) for cell in line]
+    return lines
