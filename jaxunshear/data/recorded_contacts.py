@@ -93,15 +93,14 @@ def read_test_contacts(settings: Recorded) -> RecordedContacts:
 
 
 def _note_other_units(contacts: RecordedContacts) -> RecordedContacts:
-    """Note poses of taps that vary by so much more or less than the slides' as other units do."""
+    """Note that poses of taps and of slides seem to have different units."""
     notes = []
-    for columns, name in ((slice(3), "positions in mm"), (slice(3, 6), "angles in degrees")):
-        spans = [compute_span(contacts.pose[contacts.is_slide == kind, columns]) for kind in KINDS]
-        if min(spans) > MIN_MOVE and max(spans) > MAX_SPAN_RATIO * min(spans):
-            notes.append(
-                f"poses of taps and of slides are to be {name}, but those of taps vary by "
-                f"{spans[0]:.3g} and those of slides by {spans[1]:.3g}: are their units the same?"
-            )
+    for columns, name, unit in ((slice(3), "positions", "mm"), (slice(3, 6), "angles", "degrees")):
+        poses = contacts.pose[:, columns]
+        taps, slides = [compute_span(poses[contacts.is_slide == kind]) for kind in KINDS]
+        if min(taps, slides) > MIN_MOVE and max(taps, slides) > MAX_SPAN_RATIO * min(taps, slides):
+            varied = f"{name} of taps vary by {taps:.3g} and {name} of slides by {slides:.3g}"
+            notes.append(f"{varied}: are the units of both {unit}?")
     return contacts._replace(notes=(*contacts.notes, *notes))
 
 

@@ -189,7 +189,9 @@ def check_units_of_taps_and_slides(root):
     write(root / "slide", scale=0.001)
     folders = str(root / "tap"), str(root / "slide")
     notes = read_test_contacts(Recorded(*folders)).notes
-    assert any("taps vary by 11 and those of slides by 0.011" in note for note in notes)
+    assert any(
+        "positions of taps vary by 11 and positions of slides by 0.011" in note for note in notes
+    )
     write(root / "slide")
     assert not any("units" in note for note in read_test_contacts(Recorded(*folders)).notes)
 
