@@ -136,14 +136,16 @@ def _simulate(seed: int) -> tuple[Lattice, Iterator[Worn]]:
 
 def _scatter_dust(generator: np.random.Generator, tips: np.ndarray, count: int) -> np.ndarray:
     """Scatter dots (N, count, 3) mm over the dome, of a pin's size, the same in all frames."""
-    reach = np.linalg.norm(tips[..., :2], axis=-1).max()
-    angle, radius = (
-        generator.uniform(0, 2 * np.pi, count),
-        reach * generator.uniform(size=count) ** 0.5,
-    )
+    place = _scatter(generator, np.linalg.norm(tips[..., :2], axis=-1).max(), count)
     height = np.median(tips[..., 2]) + generator.uniform(-10, 10, count)
-    dust = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1)
-    return np.repeat(dust[None], len(tips), axis=0)
+    return np.repeat(np.column_stack([place, height])[None], len(tips), axis=0)
+
+
+def _scatter(generator: np.random.Generator, reach: float, count: int) -> np.ndarray:
+    """Scatter places (count, 2) evenly over a disc of radius `reach` around the origin."""
+    angle = generator.uniform(0, 2 * np.pi, count)
+    away = reach * generator.uniform(size=count) ** 0.5
+    return np.stack([away * np.cos(angle), away * np.sin(angle)], axis=-1)
 
 
 def _read_recorded(path: Path, seed: int) -> tuple[Lattice, Iterator[Worn]]:
@@ -165,10 +167,8 @@ def _read_recorded(path: Path, seed: int) -> tuple[Lattice, Iterator[Worn]]:
         worn = images[sure].copy()
         for image, pins in zip(worn, true, strict=True):
             _paint(image, pins[lost], radius + 1.0, 0)
-        angle = generator.uniform(0, 2 * np.pi, wear.dust)
         reach = np.linalg.norm(lattice.rest - lattice.centre, axis=-1).max()
-        away = reach * generator.uniform(size=(wear.dust, 1)) ** 0.5
-        dust = lattice.centre + away * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        dust = lattice.centre + _scatter(generator, reach, wear.dust)
         for image in worn:
             _paint(image, dust, radius, 255)
         return Worn(worn, true, lost)

@@ -41,7 +41,7 @@ INVERTED = "the pins are dark on a light ground: invert the frames, then check t
 NO_PINS = "no pins are found: frames must show the light pins of a TacTip on a dark ground"
 FEW_PINS = f"about {{:.0f}} pins are found: sensors of fewer than {MIN_PINS} are not known here"
 UNSURE = (
-    "identities of pins are sure in {:.0%} of the frames alone: light and focus the sensor well, "
+    "identities of pins are sure in only {:.0%} of the frames: light and focus the sensor well, "
     "and keep all of its pins in view"
 )
 

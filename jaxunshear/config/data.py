@@ -73,7 +73,7 @@ class SourceSettings(DataSettings):
     is_simulated: ClassVar[bool] = False
     contacts: ClassVar[str] = "other data"  # what networks learn from, in messages
 
-    def get_simulated(self, what: str) -> "PairedData":
+    def require_simulation(self, what: str) -> "PairedData":
         """Return the settings of simulated contacts. Raises UserError, as `what` needs these."""
         raise UserError(
             f"{what} needs a model of simulated touches: this one learnt from {self.contacts}"
@@ -144,7 +144,7 @@ class PairedData(SimulatedData, SourceSettings):
     # how far a tap may miss its slide's depth, mm (the paper: 1.0)
     tap_depth_jitter_mm: float = 0.0
 
-    def get_simulated(self, what: str) -> "PairedData":
+    def require_simulation(self, what: str) -> "PairedData":
         return self
 
     def select_for(self, spec: NetworkSpec, pose: object) -> DataSettings:

@@ -34,7 +34,7 @@ USUAL_NAMES = {
     **dict.fromkeys(("num_epochs", "n_epochs", "max_epochs", "iterations"), "epochs"),
     **dict.fromkeys(("weight_decay", "wd", "l2_weight"), "l2"),
     **dict.fromkeys(("optimizer", "optim", "opt"), "optimiser"),
-    **dict.fromkeys(("ema", "ema_decay"), "ema_decay"),
+    "ema": "ema_decay",
     **dict.fromkeys(("loss", "loss_weights"), "losses"),
     **dict.fromkeys(("checkpoint", "pretrained", "weights", "init_from", "resume"), "start"),
     **dict.fromkeys(("image_size", "img_size", "imgsz", "resolution"), "size"),

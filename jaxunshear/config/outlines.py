@@ -22,7 +22,7 @@ from jaxunshear.config.stimuli import (
     Target,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.files import explain_no_content, read_json, read_points
+from jaxunshear.files import explain_no_content, explain_os_error, read_json, read_points
 
 FILES = (".svg", ".csv", ".json")
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "in": 25.4}
@@ -52,7 +52,11 @@ def read_outline(file: Path) -> Outline:
         raise UserError(
             f"outline {file} is no file: name a drawing (.svg) or points in mm (.csv, .json)"
         )
-    if reason := explain_no_content(file.read_bytes()):
+    try:
+        reason = explain_no_content(file.read_bytes())
+    except OSError as error:
+        raise explain_os_error(file, error, "read") from error
+    if reason:
         raise UserError(f"outline {file} cannot be read: {reason}")
     readers = {".svg": _read_svg, ".csv": _read_table, ".json": _read_json}
     fields = readers[file.suffix.lower()](file)

@@ -161,7 +161,7 @@ def read_preset(file: Path) -> Preset:
 
 def apply_preset(experiment: Experiment, file: Path) -> Experiment:
     """Set the sensor, camera and friction in `file`; frames keep their pixels. Raises UserError."""
-    experiment.paired.get_simulated("--sensor-from")
+    experiment.paired.require_simulation("--sensor-from")
     preset = read_preset(file)
     changed = replace(experiment, sensor=preset.sensor)
     for name in ("paired", "pose"):

@@ -210,8 +210,9 @@ def locate_targets(targets: Targets, columns: Sequence[str]) -> Targets:
 
 
 def get_unit(name: str) -> str:
-    """Get the unit that the name of a target ends in; "1" if it names none."""
-    return name.rpartition("_")[2] if "_" in name else "1"
+    """Get the unit of a target, mm or deg; "1" for a further column, as `force_x`."""
+    unit = name.rpartition("_")[2]
+    return unit if unit in ("mm", "deg") else "1"
 
 
 def _make_targets(

@@ -93,9 +93,10 @@ def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, 
 
     Raises UserError if the table names no images.
     """
-    column = _find_image_column(table, names)
-    numbers_by_name, problems = _index_rows(table, column, names)
-    numbers = [numbers_by_name.get(normalise_name(name)) for name in names]
+    keys = [normalise_name(name) for name in names]
+    column = _find_image_column(table, set(keys))
+    numbers_by_name, problems = _index_rows(table, column, set(keys))
+    numbers = [numbers_by_name.get(key) for key in keys]
     unlabelled = [name for name, number in zip(names, numbers, strict=True) if number is None]
     if missing := [name for name in unlabelled if not _is_reference(name)]:
         text = (
@@ -114,26 +115,26 @@ def _is_reference(name: str) -> bool:
     return Path(name).stem.lower() == REFERENCE
 
 
-def _find_image_column(table: LabelTable, names: Sequence[str]) -> str:
+def _find_image_column(table: LabelTable, known: set[str]) -> str:
     """Find the column that names images: by its own name, or by what is in its cells."""
-    known = {normalise_name(name) for name in names}
+    for column in IMAGE_COLUMNS:
+        if column in table.columns:
+            return column
 
     def count_names(column: str) -> int:
         return sum(normalise_name(row[column]) in known for row in table.rows.values())
 
-    column = next((name for name in IMAGE_COLUMNS if name in table.columns), None)
-    column = column or max(table.columns, key=count_names)
-    if column not in IMAGE_COLUMNS and not count_names(column):
+    column = max(table.columns, key=count_names)
+    if not count_names(column):
         text = f"has no column {' or '.join(IMAGE_COLUMNS)}, nor one that names these images"
         raise make_table_error(table.file, f"{text}: its poses are not used", table.heading)
     return column
 
 
 def _index_rows(
-    table: LabelTable, column: str, names: Sequence[str]
+    table: LabelTable, column: str, known: set[str]
 ) -> tuple[dict[str, int], list[LabelProblem]]:
     """Return the row of each image, without images of which two rows differ, and the problems."""
-    known = {normalise_name(name) for name in names}
     numbers: dict[str, int] = {}
     absent, repeated, ambiguous = dict[int, str](), dict[int, str](), set[str]()
     for number, cells in table.rows.items():
@@ -289,8 +290,8 @@ class ImagePair(NamedTuple):
     tap: str
 
 
-def read_pair_table(file: str | Path) -> list[ImagePair]:
-    """Read a CSV with columns `slide` and `tap` that names images that belong together.
+def read_pair_table(file: str | Path) -> dict[int, ImagePair]:
+    """Read a table with columns `slide` and `tap` of images that belong together, by row.
 
     Raises UserError, by file and row, for a table without them, a row of another length or with an
     empty cell, and a slide that has two taps.
@@ -309,7 +310,7 @@ def read_pair_table(file: str | Path) -> list[ImagePair]:
             table.file, "names no pairs: give a row for each slide, with its tap"
         )
     first: dict[str, int] = {}
-    pairs = []
+    pairs = {}
     for number, row in table.rows.items():
         pair = ImagePair(normalise_text(row["slide"]), normalise_text(row["tap"]))
         if not pair.slide or not pair.tap:
@@ -319,5 +320,5 @@ def read_pair_table(file: str | Path) -> list[ImagePair]:
             text = f"{pair.slide} has a tap already, in row {first[pair.slide]}"
             raise make_table_error(table.file, text, number)
         first[pair.slide] = number
-        pairs.append(pair)
+        pairs[number] = pair
     return pairs

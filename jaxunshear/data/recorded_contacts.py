@@ -20,6 +20,7 @@ from jaxunshear.config.splits import SPLITS, hash_text
 from jaxunshear.data.labels import compute_span, join_columns, normalise_text, read_pair_table
 from jaxunshear.data.recorded_splits import cut_block, read_folder_split, split_by_folders
 from jaxunshear.data.recordings import Recordings, read_recordings
+from jaxunshear.data.videos import is_video
 from jaxunshear.errors import UserError
 
 MIN_MOVE = 1e-6  # mm or deg: labels of a move below this are of a tap
@@ -92,15 +93,14 @@ def read_test_contacts(settings: Recorded) -> RecordedContacts:
 
 
 def _note_other_units(contacts: RecordedContacts) -> RecordedContacts:
-    """Note poses of taps that vary by so much more or less than the slides' as other units do."""
+    """Note that poses of taps and of slides seem to have different units."""
     notes = []
-    for columns, name in ((slice(3), "positions in mm"), (slice(3, 6), "angles in degrees")):
-        spans = [compute_span(contacts.pose[contacts.is_slide == kind, columns]) for kind in KINDS]
-        if min(spans) > MIN_MOVE and max(spans) > MAX_SPAN_RATIO * min(spans):
-            notes.append(
-                f"poses of taps and of slides are to be {name}, but those of taps vary by "
-                f"{spans[0]:.3g} and those of slides by {spans[1]:.3g}: are their units the same?"
-            )
+    for columns, name, unit in ((slice(3), "positions", "mm"), (slice(3, 6), "angles", "degrees")):
+        poses = contacts.pose[:, columns]
+        taps, slides = [compute_span(poses[contacts.is_slide == kind]) for kind in KINDS]
+        if min(taps, slides) > MIN_MOVE and max(taps, slides) > MAX_SPAN_RATIO * min(taps, slides):
+            varied = f"{name} of taps vary by {taps:.3g} and {name} of slides by {slides:.3g}"
+            notes.append(f"{varied}: are the units of both {unit}?")
     return contacts._replace(notes=(*contacts.notes, *notes))
 
 
@@ -257,7 +257,7 @@ def _pair_by_table(contacts: RecordedContacts, table: Path) -> RecordedContacts:
         for each in (name, name.rpartition("/")[2]):
             rows[bool(contacts.is_slide[row])].setdefault(each, set()).add(row)
     pose_id, pose = np.full(len(contacts.names), -1), contacts.pose.copy()
-    for number, pair in enumerate(read_pair_table(table), 2):
+    for number, pair in read_pair_table(table).items():
         for is_slide, name in ((True, pair.slide), (False, pair.tap)):
             found = len(rows[is_slide].get(name, ()))
             if found != 1:
@@ -284,8 +284,10 @@ def compute_digest(folders: tuple[str, ...], pairs: str = "") -> str:
     for folder in dict.fromkeys(folders):
         digest, recordings = hashlib.sha256(), read_folder(folder, Preprocess())
         for file, name in zip(recordings.files, recordings.names, strict=True):
-            digest.update(f"{name} {file.stat(follow_symlinks=file.exists()).st_size}\n".encode())
-        for table in sorted(Path(folder).rglob("*.[ct]sv")):
+            stored = file.parent if is_video(file.parent) else file
+            size = stored.stat(follow_symlinks=stored.exists()).st_size
+            digest.update(f"{name} {size}\n".encode())
+        for table in sorted(Path(folder).rglob("*.[ctCT][sS][vV]")):
             digest.update(table.read_bytes())
         parts.append(digest.hexdigest()[:DIGITS])
     if pairs and Path(pairs).is_file():

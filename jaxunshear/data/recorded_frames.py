@@ -36,11 +36,7 @@ from jaxunshear.files import Json, write_npz
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_detection import detect_pins
 from jaxunshear.perception.pin_track import PinTrack
-from jaxunshear.perception.pin_tracking import (
-    MotionPrior,
-    fit_motion_prior,
-    track_pins,
-)
+from jaxunshear.perception.pin_tracking import MotionPrior, fit_motion_prior, track_pins
 from jaxunshear.perception.preprocess import prepare_frame
 from jaxunshear.perception.worn_dome import track_worn_pins
 

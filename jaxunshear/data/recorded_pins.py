@@ -67,15 +67,7 @@ def find_pins(
     `without` or else those that no image shows, have no place. Raises `UserError` if nothing can be
     read or pins are not this layout's.
     """
-    if not isinstance(path, str | Path):
-        raise UserError(
-            f"find_pins takes the path of an image or a folder, not {type(path).__name__}: "
-            "of an image in memory `detect_pin_centres` of jaxunshear.perception.pin_detection"
-        )
-    last = len(lattice.flat if isinstance(lattice, MarkerLayout) else lattice.rest) - 1
-    if without and not 0 <= min(without) <= max(without) <= last:
-        numbers = ",".join(map(str, without))
-        raise UserError(f"--without {numbers}: pins have numbers from 0 to {last}")
+    _check_request(path, lattice, without)
     if preprocess is None:
         first = read_first_image(read_recordings(path, Preprocess()).files)
         preprocess = Preprocess(
@@ -86,19 +78,13 @@ def find_pins(
     detection = _detect_all(recordings, view)
     names = detection.names
     start = time.perf_counter()
-    origin = "the untouched pins"
+    origin, untouched = "the untouched pins", detection.pins
     if isinstance(lattice, MarkerLayout):
-        untouched = detection.pins
         if rest is None:
             origin = "the pins' mean place in these images"
         else:
             untouched = _detect_all(read_recordings(rest, preprocess), view).pins
-        try:
-            lattice = fit_lattice([each.pins for each in untouched], lattice, without)
-        except UserError as error:
-            raise explain_failure(error, recordings.files[0]) from error
-    elif without:
-        lattice = make_lattice(lattice.rest, lattice.ring, without)
+    lattice = _fit_rest(lattice, untouched, without, recordings.files[0])
     fitted = time.perf_counter()
     tracks = track_all(lattice, detection.pins)
     seconds = detection.seconds + time.perf_counter() - fitted
@@ -116,6 +102,33 @@ def find_pins(
     shown = [ShownImage(names[i], image, tracks[i]) for i, image in detection.images.items()]
     identified = np.array([track.identified for track in tracks])
     return Pins(np.array(names), identified, place, place - lattice.rest, lattice, table, shown)
+
+
+def _check_request(path: object, lattice: Lattice | MarkerLayout, without: Sequence[int]) -> None:
+    if not isinstance(path, str | Path):
+        raise UserError(
+            f"find_pins takes the path of an image or a folder, not {type(path).__name__}: "
+            "for an image in memory use `detect_pin_centres` of jaxunshear.perception.pin_detection"
+        )
+    last = len(lattice.flat if isinstance(lattice, MarkerLayout) else lattice.rest) - 1
+    if without and not 0 <= min(without) <= max(without) <= last:
+        numbers = ",".join(map(str, without))
+        raise UserError(f"--without {numbers}: pins have numbers from 0 to {last}")
+
+
+def _fit_rest(
+    lattice: Lattice | MarkerLayout,
+    untouched: list[DetectedPins],
+    without: Sequence[int],
+    file: Path,
+) -> Lattice:
+    """Fit a layout to untouched pins; a lattice is used as it is, except for lost pins."""
+    if isinstance(lattice, Lattice):
+        return make_lattice(lattice.rest, lattice.ring, without) if without else lattice
+    try:
+        return fit_lattice([each.pins for each in untouched], lattice, without)
+    except UserError as error:
+        raise explain_failure(error, file) from error
 
 
 class _Detection(NamedTuple):

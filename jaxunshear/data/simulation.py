@@ -214,7 +214,7 @@ def simulate_contacts(
     stimulus (a block of the split); less those that did not converge. `depth_mm` sets one depth for
     all, else depths are the experiment's. The same seed gives the same contacts.
     """
-    paired = experiment.paired.get_simulated("this")
+    paired = experiment.paired.require_simulation("this")
     poses = max(BLOCK, -(-count // len(paired.stimuli)))
     new = paired.seed + SEED + seed
     settings = replace(paired, poses=poses, taps=1, slides=1, tap_depth_jitter_mm=0.0, seed=new)
@@ -249,7 +249,7 @@ def render_untouched_images(experiment: Experiment, count: int) -> np.ndarray:
 
     Their light, noise and wear are those of other images.
     """
-    paired = experiment.paired.get_simulated("this")
+    paired = experiment.paired.require_simulation("this")
     tips = np.repeat(compute_pin_tips(experiment.sensor)[None], count, axis=0)
     numbers, ages = SEED + np.arange(count), np.linspace(0, 1, count)
     images, _ = render_images(paired, experiment.sensor, tips, numbers, ages)

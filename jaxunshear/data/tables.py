@@ -1,9 +1,9 @@
 """Read tables of text as spreadsheets and laboratories write them.
 
-Cells are parted by commas, semicolons or tabs, whichever the heading has most of, or as a first
-line `sep=;` says; lines above the heading that begin with # are passed over. Where cells are not
-parted by commas, `1,5` is 1.5 as in German or French. Problems are named by file and row. A row is
-counted as spreadsheets and editors do: the first line of the file is row 1.
+Commas, semicolons or tabs separate cells: whichever the heading has most of, or what a first line
+`sep=;` names. Lines above the heading that begin with # are skipped. If commas do not separate
+cells, `1,5` is 1.5 as in German or French. Problems are named by file and row. The first line of
+the file is row 1, as in spreadsheets and editors.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import NUMBER, explain_no_content
 
 TABLES = ("targets.csv", "targets_images.csv")  # before others in their folder
-TABLE_SUFFIXES = {".csv", ".tsv", ".xlsx", ".xls", ".ods"}  # the latter are named, not read
+TABLE_SUFFIXES = {".csv", ".tsv", ".xlsx", ".xls", ".ods"}  # only the first two can be read
 DELIMITERS = (",", ";", "\t")
 DECIMAL_COMMA = re.compile(NUMBER.replace(r"\.", ","))
 THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2}(,[0-9]{3})+")
@@ -134,7 +134,7 @@ def _read_text(file: Path) -> str:
         data = file.read_bytes()
     except OSError as error:
         raise make_table_error(file, f"cannot be read ({error.strerror or error})") from None
-    if data and (reason := explain_no_content(data)):
+    if reason := explain_no_content(data):
         raise make_table_error(file, reason)
     try:
         return data.decode("utf-8-sig")
@@ -145,19 +145,18 @@ def _read_text(file: Path) -> str:
 
 
 def _choose_delimiter(heading: Sequence[str]) -> str:
-    """Choose what parts most cells of a heading."""
+    """Choose the delimiter that gives a heading the most cells."""
     return max(DELIMITERS, key=lambda each: sum(map(len, csv.reader(heading, delimiter=each))))
 
 
 def _convert_decimal_commas(lines: dict[int, list[str]]) -> dict[int, list[str]]:
-    """Write `1,5` as 1.5 unless numbers have points, too, or all commas may part thousands."""
+    """Write `1,5` as 1.5 unless numbers have points, too, or all commas may be of thousands."""
     cells = [cell for line in lines.values() for cell in line]
     commas = [cell for cell in cells if "," in cell and DECIMAL_COMMA.fullmatch(cell)]
     has_points = any("." in cell and re.fullmatch(NUMBER, cell) for cell in cells)
     if has_points or all(map(THOUSANDS.fullmatch, commas)):
         return lines
-    known = set(commas)
-    return {
-        number: [cell.replace(",", ".") if cell in known else cell for cell in line]
-        for number, line in lines.items()
-    }
+    points = {cell: cell.replace(",", ".") for cell in commas}
+    for line in lines.values():
+        line[:] = [points.get(cell, cell) for cell in line]
+    return lines

@@ -30,7 +30,7 @@ from jaxunshear.models.weights import Net, Variables
 from jaxunshear.progress import Progress
 from jaxunshear.results.provenance import describe_provenance, read_training_facts
 from jaxunshear.text_table import format_text_table
-from jaxunshear.training.checkpoint import check_finished, load_best, read_net
+from jaxunshear.training.checkpoint import check_training, load_best, read_net
 from jaxunshear.training.examples import open_examples
 from jaxunshear.training.provenance import check_origin
 
@@ -109,7 +109,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
 
 def _load_network(folder: Path) -> tuple[UnshearNet, Variables]:
     """Load a disentangled network over images with its DS. Raises UserError for any other."""
-    check_finished(folder)
+    check_training(folder)
     net = read_net(folder)
     if not isinstance(net, UnshearNet) or not net.disentangled:
         raise UserError(

@@ -27,7 +27,7 @@ from jaxunshear.inference.forward import jit_for_inference
 from jaxunshear.models.registry import get_net_modality, predict, unshear
 from jaxunshear.results.record_files import read_times, write_record
 from jaxunshear.results.run import Results
-from jaxunshear.training.checkpoint import check_finished, load_network
+from jaxunshear.training.checkpoint import check_training, load_network
 from jaxunshear.training.provenance import check_origin
 
 CALLS = 40  # of each network that is timed
@@ -57,7 +57,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     started = time.perf_counter()
     run_dir = Path(run_dir)
     for network in experiment.networks:
-        check_finished(run_dir / network)
+        check_training(run_dir / network)
         check_origin(experiment, network, run_dir)
     evaluated: EvaluatedRun = open_source(experiment).evaluate(run_dir, data_dir)
     results = replace(

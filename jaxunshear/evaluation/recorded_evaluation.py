@@ -47,7 +47,7 @@ from jaxunshear.models.modality import PINS, Modality, get_modality
 from jaxunshear.perception.sensor_check import measure_sensor_appearance
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results
-from jaxunshear.training.checkpoint import check_finished, read_targets
+from jaxunshear.training.checkpoint import check_training, read_targets
 from jaxunshear.training.examples import FRAME, HelperLoader
 from jaxunshear.training.provenance import check_unseen
 
@@ -110,7 +110,7 @@ def score_recordings(
         )
     started = time.perf_counter()
     for network in experiment.networks:
-        check_finished(run_dir / network)
+        check_training(run_dir / network)
     digest = _check_not_learned_from(experiment, settings, run_dir, recordings)
     settings = dataclasses.replace(
         settings, tap_folder=str(recordings), slide_folder=str(recordings), digest=digest, pairs=""

@@ -124,7 +124,7 @@ def score_transfer(
     taps and slides of one edge.
     """
     started = time.perf_counter()
-    paired = experiment.paired.get_simulated("this")
+    paired = experiment.paired.require_simulation("this")
     digest = compute_digest((str(recordings),))
     settings = Recorded(str(recordings), str(recordings), digest, preprocess=paired.preprocess)
     predictions = _predict_all(experiment, model, network, settings)

@@ -104,7 +104,7 @@ def evaluate_simulation(experiment: Experiment, run_dir: Path, data_dir: Path) -
 
     Raises `UserError` if the test split is empty, or a network or a data set is missing or damaged.
     """
-    paired = experiment.paired.get_simulated("this")
+    paired = experiment.paired.require_simulation("this")
     modality = get_modality(experiment)
     examples = open_examples(experiment, DISENTANGLED, data_dir, run_dir)
     pairs = examples.reader
@@ -188,7 +188,7 @@ def build_simulated_results(
 
     By name of further tests, `further` are their scores, `followed` what detection gave of pins.
     """
-    paired, pose = experiment.paired.get_simulated("this"), cast(PoseData, experiment.pose)
+    paired, pose = experiment.paired.require_simulation("this"), cast(PoseData, experiment.pose)
     size, images, labels = paired.preprocess.size, len(scores.kept_rows), scores.labels
     similarity = describe_similarity(size)
     metric = similarity | METRIC_NOTES
@@ -230,7 +230,7 @@ def _build_further_tests(
     further: Mapping[str, ContactScores],
     followed: Mapping[str, Mapping[str, Mapping[str, float]]],
 ) -> dict[str, FurtherTest]:
-    paired = experiment.paired.get_simulated("this")
+    paired = experiment.paired.require_simulation("this")
     settings = list_further_tests(experiment) | {DETECTED: paired}
     tests = {}
     for name, scores in further.items():

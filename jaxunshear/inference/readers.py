@@ -38,7 +38,7 @@ from jaxunshear.perception.touch import (
     NO_CONTACT_REASON,
     Touch,
     TouchGauge,
-    find_untouched,
+    find_no_contact,
     make_recorded_gauge,
     make_touch_gauge,
     measure_touch,
@@ -167,7 +167,7 @@ class TouchReader(NamedTuple):
         """Measure images (B, S, S) of {0, 255}, whose pins (B, P, 2) px may be known."""
         return measure_touch(self.gauge, self._track(images) if pins is None else pins)
 
-    def learn_untouched(self, images: np.ndarray, pins: np.ndarray | None) -> "TouchReader":
+    def learn_rest_positions(self, images: np.ndarray, pins: np.ndarray | None) -> "TouchReader":
         """Return the reader that measures from the mean of these images, of an untouched dome."""
         pins = self._track(images) if pins is None else pins.copy()
         lattice = self.gauge.lattice
@@ -236,9 +236,9 @@ def judge_batch(
     return np.array(rejection), np.array(plausibility)
 
 
-def refuse_untouched(reasons: np.ndarray, touch: Touch, force: bool) -> np.ndarray:
+def add_no_contact(reasons: np.ndarray, touch: Touch, force: bool) -> np.ndarray:
     """Add to the reasons (B,) by which images are rejected that they show no contact."""
-    refused = find_untouched(touch) & (reasons == "") & (not force)
+    refused = find_no_contact(touch) & (reasons == "") & (not force)
     return np.where(refused, NO_CONTACT_REASON, reasons)
 
 

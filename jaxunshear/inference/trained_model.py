@@ -51,12 +51,12 @@ from jaxunshear.inference.readers import (
     Predictions,
     Reader,
     TouchReader,
+    add_no_contact,
     check_images,
     compute_confidences,
     judge_batch,
     make_pin_reader,
     make_touch_reader,
-    refuse_untouched,
 )
 from jaxunshear.inference.steady_view import make_steady_view
 from jaxunshear.models.posenet import unscale_outputs
@@ -112,7 +112,7 @@ class TrainedModel:
 
         Raises UserError if it was trained on recordings, which `what` cannot use.
         """
-        return self.experiment.paired.get_simulated(what)
+        return self.experiment.paired.require_simulation(what)
 
     @property
     def networks(self) -> tuple[str, ...]:
@@ -287,10 +287,10 @@ class TrainedModel:
         measure, read = self.touch_reader.measure, self.reader.read
         return self._run_in_batches(images, lambda batch: measure(batch, read(batch).pins))
 
-    def learn_untouched(self, images: np.ndarray) -> None:
+    def learn_rest_positions(self, images: np.ndarray) -> None:
         """Measure touch from where pins stand in images of the untouched dome."""
         pins = self.reader.read(check_images(images, self.size)).pins
-        self.touch_reader = self.touch_reader.learn_untouched(images, pins)
+        self.touch_reader = self.touch_reader.learn_rest_positions(images, pins)
 
     def predict(self, images: np.ndarray) -> Predictions:
         """Unshear and predict poses, with a confidence, or a reason why there are none."""
@@ -303,7 +303,7 @@ class TrainedModel:
         inputs = self.reader.read(images)
         reasons, plausibility = judge_batch(images, inputs.identified, self.appearance, self.force)
         touch = self.touch_reader.measure(images, inputs.pins)
-        reasons = refuse_untouched(reasons, touch, self.force)
+        reasons = add_no_contact(reasons, touch, self.force)
         unsheared, poses = jax.device_get(self._forward(scale_inputs(inputs.values)))
         outputs = self.reader.finish(inputs, unsheared, poses)
 

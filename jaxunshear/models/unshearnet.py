@@ -70,20 +70,17 @@ class Network(nn.Module):
         decoder: Callable[[], nn.Module] = partial(
             layer_choice.pick_layer(Decoder, fast.Decoder), net.widths
         )
-        code = VectorCode if net.separate_encoders else layer_choice.pick_layer(Same, fast.Same)
+        code: Callable[..., nn.Module] = layer_choice.pick_layer(Same, fast.Same)
+        shear_code = code
         if net.separate_encoders:
+            code, shear_code = VectorCode, partial(VectorCode, normalise=False)
             side = net.size // 2 ** len(net.widths)
             decoder = partial(VectorDecoder, (side, side, net.widths[-1]), decoder)
         self.E, self.DC = encoder(net.widths), decoder()
         if net.disentangled:
             self.pose = code(net.pose_channels)
             if net.shear_channels:
-                channels = net.shear_channels
-                self.shear = (
-                    VectorCode(channels, normalise=False)
-                    if net.separate_encoders
-                    else code(channels)
-                )
+                self.shear = shear_code(net.shear_channels)
                 self.DS = decoder()
         if net.separate_encoders:
             self.ES = encoder(net.widths)
@@ -99,9 +96,9 @@ class Network(nn.Module):
         if not self.net.shear_channels:
             return self.pose(z, train), None
         z_p = self.pose(z, train)
-        return z_p, self.encode_slide(images, train) if self.net.separate_encoders else self.shear(
-            z, train
-        )
+        if self.net.separate_encoders:
+            return z_p, self.encode_slide(images, train)
+        return z_p, self.shear(z, train)
 
     def encode_slide(self, images: Array, train: bool) -> Array:
         return self.shear(self.ES(images, train), train)

@@ -32,7 +32,7 @@ class Lattice(NamedTuple):
         return self.ring < INNER_RING_SHARE * self.ring.max()
 
     @property
-    def left(self) -> Int[np.ndarray, "L"]:
+    def remaining(self) -> Int[np.ndarray, "L"]:
         """The pins that are not lost."""
         return np.setdiff1d(np.arange(len(self.rest)), self.lost)
 
@@ -102,7 +102,7 @@ def make_lattice(
     lattice = Lattice(rest, ring, spacing, near, weights, powers, tuple(sorted(lost)))
     if not lattice.lost:
         return lattice
-    return lattice._replace(intact=make_lattice(rest[lattice.left], ring[lattice.left]))
+    return lattice._replace(intact=make_lattice(rest[lattice.remaining], ring[lattice.remaining]))
 
 
 def measure_spacing(rest: Float[np.ndarray, "P 2"]) -> float:

@@ -65,14 +65,14 @@ class PinTrack(NamedTuple):
 
 def drop_lost_pins(lattice: Lattice, track: PinTrack) -> PinTrack:
     """Drop the pins that are lost from a track."""
-    left = lattice.left
-    return track._replace(motion=track.motion[left], identity=track.identity[left])
+    remaining = lattice.remaining
+    return track._replace(motion=track.motion[remaining], identity=track.identity[remaining])
 
 
 def add_lost_pins(lattice: Lattice, track: PinTrack) -> PinTrack:
     """Add the pins that are lost to a track of the others, as missing."""
     motion, identity = np.full(lattice.rest.shape, np.nan), np.full(len(lattice.rest), -1)
-    motion[lattice.left], identity[lattice.left] = track.motion, track.identity
+    motion[lattice.remaining], identity[lattice.remaining] = track.motion, track.identity
     return track._replace(motion=motion, identity=identity)
 
 

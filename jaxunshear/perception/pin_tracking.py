@@ -118,7 +118,7 @@ def track_pins(
     """Track the pins of one image, with the help of a prior if there is one."""
     if lattice.intact is not None:
         if prior is not None:
-            prior = prior._replace(motion=prior.motion[:, lattice.left])
+            prior = prior._replace(motion=prior.motion[:, lattice.remaining])
         return add_lost_pins(lattice, track_pins(lattice.intact, detected, prior))
     pins, count = len(lattice.rest), len(detected.pins)
     missing = np.full((pins, 2), np.nan)

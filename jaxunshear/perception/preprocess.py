@@ -157,9 +157,8 @@ def prepare_frame(
 
 def _scale_box(view: View, frame_px: tuple[int, ...]) -> Box | None:
     """Scale the box of a view to frames of another height and width, as of another camera mode."""
-    if view.box is None or view.frame_px in (None, frame_px):
+    if view.box is None or view.frame_px is None or view.frame_px == frame_px:
         return view.box
-    assert view.frame_px is not None
     (height, width), (own_height, own_width) = view.frame_px, frame_px
     scale = own_width / width
     if abs(scale * height / own_height - 1) > MAX_ASPECT_ERROR:

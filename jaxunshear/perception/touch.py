@@ -235,6 +235,6 @@ def measure_touch(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> Touch:
     return Touch(*values)
 
 
-def find_untouched(touch: Touch) -> Bool[np.ndarray, "B"]:
+def find_no_contact(touch: Touch) -> Bool[np.ndarray, "B"]:
     """Find the images of a dome that touches nothing; one that is not followed is none of them."""
     return touch.contact < MIN_CONTACT

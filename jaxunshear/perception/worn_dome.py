@@ -1,8 +1,8 @@
 """Identify the pins of a dome that has lost some, carries dust, or is pressed against a sharp edge.
 
-This road is slower and is for images in which pins are not identified otherwise: a hole among the
-pins is no fault here as long as the pins around it agree, nor is a pin off its neighbours as long
-as nearly every pin is found. A dot that alone moves otherwise than all dots around it is dust.
+This tracking is slower, and only for images whose pins the usual one does not identify. It accepts
+a hole among the pins if the pins around it agree, and a pin away from where its neighbours put it
+if nearly every pin is found. A dot that moves unlike all dots around it is dust.
 
 >>> lost = find_lost_pins(track_all(lattice, frames))
 >>> tracks = track_all(make_lattice(lattice.rest, lattice.ring, lost), frames)
@@ -62,9 +62,9 @@ def find_lost_pins(tracks: Sequence[PinTrack]) -> list[int]:
 
 
 def track_worn_pins(lattice: Lattice, detected: DetectedPins, track: PinTrack) -> PinTrack:
-    """Track the pins of an image again as those of a worn dome, unless `track` is identified.
+    """Track the pins of an image again, as on a worn dome, unless `track` is identified.
 
-    Return `track` if that does not identify them.
+    Returns `track` if this does not identify them either.
     """
     share = len(detected.pins) / len(lattice.rest)
     if track.identified or not MIN_DETECTED_SHARE <= share <= MAX_DETECTED_SHARE:
@@ -77,7 +77,7 @@ def track_worn_pins(lattice: Lattice, detected: DetectedPins, track: PinTrack) -
     first = next(_find_worn_tracks(lattice, detected.pins, motions), None)
     if first is None:
         return track
-    # a regular lattice of which the housing hides a side may fit one place further as well
+    # a regular lattice with one side behind the housing may also fit one place further
     moved = [lattice.fill_missing(first.motion) + step for step in _find_steps(lattice)]
     tracks = [first, *_find_worn_tracks(lattice, detected.pins, moved)]
     tracks.sort(key=lambda worn: worn.missed + worn.extra)

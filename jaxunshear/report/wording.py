@@ -169,7 +169,7 @@ def list_main_targets(results: Results) -> list[str]:
 
 def name_quantity(name: str) -> str:
     """Name a quantity without its unit."""
-    return QUANTITIES.get(name) or (name.rpartition("_")[0] or name).replace("_", " ")
+    return QUANTITIES.get(name) or name.removesuffix(f"_{get_unit(name)}").replace("_", " ")
 
 
 def format_heading(name: str) -> Markup:

@@ -106,7 +106,7 @@ def has_model(folder: Path) -> bool:
     return (Path(folder) / WEIGHTS).exists() or find_latest_step(folder) is not None
 
 
-def check_finished(folder: Path) -> None:
+def check_training(folder: Path) -> None:
     """Raise UserError if the training in `folder` was started and not finished.
 
     Also raises UserError if its summary is damaged. Released weights count as finished.
@@ -341,7 +341,7 @@ class TrainedNetwork(NamedTuple):
 
 def load_network(folder: Path) -> TrainedNetwork:
     """Load a network from its folder. Raises UserError if it is missing, damaged or unfinished."""
-    check_finished(folder)
+    check_training(folder)
     net, variables, targets = read_net(folder), load_best(folder), read_targets(folder)
     if misfit := find_misfit(net, variables, count_outputs(targets)):
         raise UserError(f"{folder}: its weights do not fit its {MODEL} ({misfit}): copy both again")

@@ -15,6 +15,7 @@ from jaxunshear.config.targets import (
     SIMULATED_FIELDS,
     Target,
     from_json,
+    get_unit,
     list_label_fields,
     list_target_names,
     make_label_targets,
@@ -28,6 +29,7 @@ from jaxunshear.config.targets import (
 from jaxunshear.errors import UserError
 from jaxunshear.metrics import compute_pose_errors
 from jaxunshear.models import posenet
+from jaxunshear.report.wording import name_quantity
 from jaxunshear.training.tasks import compute_pose_error_terms
 
 USUAL = make_range_targets((), Ranges())
@@ -261,6 +263,12 @@ def test_errors_of_angles_go_the_short_way_round(kind, label, answer, error):
     read = jax.tree.map(np.asarray, posenet.unscale_outputs(outputs, targets))
     errors = compute_pose_errors(read, read_true_values(targets, batch))
     np.testing.assert_allclose(errors["Rz_deg"], [error, 0], atol=1e-3)
+
+
+def test_only_mm_and_deg_are_units_in_names():
+    names = ("edge_mm", "tilt_x_deg", "force_x", "Fx")
+    assert [get_unit(name) for name in names] == ["mm", "deg", "1", "1"]
+    assert [name_quantity(name) for name in names[2:]] == ["force x", "Fx"]
 
 
 def test_errors_of_lengths_do_not_wrap():

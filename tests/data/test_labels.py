@@ -115,7 +115,7 @@ def test_a_problem_can_be_printed_whatever_the_name():
 
 def test_pairs(tmp_path):
     file = written(tmp_path, "tap,note,slide\na/1.png,,b/1.png\na/1.png,,b/2.png\n")
-    assert read_pair_table(file) == [("b/1.png", "a/1.png"), ("b/2.png", "a/1.png")]
+    assert read_pair_table(file) == {2: ("b/1.png", "a/1.png"), 3: ("b/2.png", "a/1.png")}
 
 
 @pytest.mark.parametrize(

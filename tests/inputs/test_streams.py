@@ -20,6 +20,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PinPoseNet, PinUnshear, UnshearNet
 from jaxunshear.config.sensor import TACTIP_127, Preprocess
 from jaxunshear.config.targets import make_range_targets
+from jaxunshear.data.recorded_contacts import compute_digest
 from jaxunshear.data.sensor_frame import parse_frame
 from jaxunshear.data.videos import import_opencv
 from jaxunshear.inference import trained_model
@@ -410,6 +411,9 @@ def check_folder_of_videos(door):
     assert code == 0, said
     names = [line["name"] for line in lines]
     assert names[0] == "a.avi/000000" and names[-3:] == [f"b.avi/{n:06d}" for n in range(3)]
+    digest = compute_digest((str(door.path),))
+    door.write_video("b.avi", 4)
+    assert compute_digest((str(door.path),)) != digest
 
 
 def check_cut_video(door):

@@ -264,7 +264,7 @@ def refuses_number(place: Place) -> None:
 
 
 CASES = [
-    Case("no pin lost", "track", "as the usual road, to the bit", leaves_sound_dome),
+    Case("no pin lost", "track", "as usual, to the bit", leaves_sound_dome),
     Case("one inner pin lost", "track", "sure and right", sees(TACTIP_331, (INNER,))),
     Case("one pin of the rim lost", "track", "sure and right", sees(TACTIP_331, (RIM,))),
     Case("three pins lost", "track", "sure and right", sees(TACTIP_331, (3, INNER, 200))),

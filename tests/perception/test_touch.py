@@ -98,7 +98,7 @@ def test_an_image_that_is_not_followed_has_nothing():
     answer = touch.measure_touch(GAUGE, pins)
     assert np.isfinite(np.array(answer)[:, 0]).all() and np.isnan(np.array(answer)[:, 1]).all()
     assert np.isfinite(answer.contact[2]) and np.isnan(answer.slip[2])
-    assert touch.find_untouched(answer).tolist() == [False, False, True]
+    assert touch.find_no_contact(answer).tolist() == [False, False, True]
     assert all(len(each) == 0 for each in touch.measure_touch(GAUGE, pins[:0]))
 
 

@@ -205,8 +205,10 @@ def test_the_digest_gives_changed_labels_and_images(tmp_path):
     folder = made.write(tmp_path / "a", *made.contacts(12, False, 0))
     before = compute_digest((str(folder),))
     assert compute_digest((str(folder),)) == before
-    text = (folder / "targets.csv").read_text()
-    (folder / "targets.csv").write_text(text.replace("image_1.png,1,1,0.0", "image_1.png,1,1,0.5"))
+    table = (folder / "targets.csv").rename(folder / "Targets.CSV")
+    assert compute_digest((str(folder),)) == before
+    text = table.read_text()
+    table.write_text(text.replace("image_1.png,1,1,0.0", "image_1.png,1,1,0.5"))
     assert compute_digest((str(folder),)) != before
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxunshear.angles import wrap_degrees
+from jaxunshear.config.targets import get_unit
 
 DRIFT = {"mm": 20.0, "deg": 200.0}  # per s^1.5: how much a rate changes, by unit
 NOISE = {"mm": 0.3, "deg": 5.0}  # of a pose, if the model's run does not know its half-widths
@@ -33,7 +34,11 @@ class FilterState:
 
 
 def find_noise(names: Sequence[str], half_widths: Mapping[str, float]) -> dict[str, float]:
-    """Find the standard deviation of each quantity, from the half-widths of 95 % that are known."""
+    """Find the standard deviation of each quantity, from the half-widths of 95 % that are known.
+
+    Quantities in other units than mm and deg, such as forces, have none: they are not filtered.
+    """
+    names = [name for name in names if get_unit(name) in NOISE]
     noise = _select(NOISE, names)
     known = {name: half_widths[name] / DEVIATIONS for name in names if name in half_widths}
     return dict(zip(names, noise.tolist(), strict=True)) | known
@@ -43,7 +48,7 @@ def update_filter(
     state: FilterState | None, time_s: float, pose: Mapping[str, float], noise: Mapping[str, float]
 ) -> FilterState:
     """Bring the state to a time and a pose; it starts anew after a gap, or if time runs back."""
-    names = tuple(pose)
+    names = tuple(name for name in pose if name in noise)
     measured = np.array([pose[name] for name in names])
     variance = np.array([noise[name] for name in names]) ** 2
     if state is None or not 0 <= time_s - state.time_s <= MAX_GAP_S:
@@ -79,4 +84,4 @@ def _wrap_angles(names: Sequence[str], values: np.ndarray) -> np.ndarray:
 
 
 def _select(by_unit: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-    return np.array([by_unit[name.rpartition("_")[2]] for name in names])
+    return np.array([by_unit[get_unit(name)] for name in names])

@@ -67,3 +67,12 @@ def test_two_poses_at_one_time_are_averaged():
 
 def test_noise_is_that_of_the_half_widths_where_they_are_known():
     assert find_noise(("y_mm", "Rz_deg"), {"y_mm": 0.98}) == {"y_mm": 0.5, "Rz_deg": NOISE["deg"]}
+
+
+@pytest.mark.parametrize("pose", [{"y_mm": 1.0, "force_x": 2.0}, {"Fx": 2.0}])
+def test_forces_are_not_filtered(pose):
+    noise = find_noise(tuple(pose), dict.fromkeys(pose, 0.98))
+    lengths = {name for name in pose if name.endswith("_mm")}
+    assert noise.keys() == lengths
+    for state in follow([pose] * 3, noise):
+        assert state.pose.keys() == state.rate.keys() == lengths
