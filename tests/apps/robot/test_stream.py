@@ -45,7 +45,9 @@ class StandIn(TrainedModel):
         time.sleep(self.seconds)
         poses = {UNSHEARED: {"edge_mm": np.array([0.25]), "edge_deg": np.array([-3.0])}}
         touch = Touch(*np.full((len(Touch._fields), 1), 0.5))
-        return Predictions(images / 255.0, poses, {}, np.array([""]), np.array([0.9]), touch)
+        return Predictions(
+            images / 255.0, poses, {}, np.array([""]), np.array([0.9]), lambda: touch
+        )
 
 
 def run(frames, live=False, seconds=0.0, images=None, is_filtered=False, force=False):
