@@ -180,14 +180,21 @@ class TouchReader(NamedTuple):
             values[:, rows] = self.measure(images, None)
         return Touch(*values)
 
-    def find_doubtful(self, judged: "Judgement", force: bool) -> np.ndarray:
-        """Find the images (B,) that `refuse_untouched` may refuse, by their detected pins."""
-        return np.array(
+    def measure_some(
+        self, images: np.ndarray, pins: np.ndarray | None, judged: "Judgement", force: bool
+    ) -> tuple[Touch, np.ndarray]:
+        """Measure where pins are known, or `refuse_untouched` may refuse; return where, (B,)."""
+        if pins is not None:
+            return self.measure(images, pins), np.ones(len(images), bool)
+        reasons = zip(judged.rejection.tolist(), judged.pins, strict=True)
+        rows = np.array(
             [
-                not (force or reason) and may_be_untouched(self.gauge, pins)
-                for reason, pins in zip(judged.rejection.tolist(), judged.pins, strict=True)
+                not (force or reason) and may_be_untouched(self.gauge, detected)
+                for reason, detected in reasons
             ]
         )
+        nothing = Touch(*np.full((len(Touch._fields), len(images)), np.nan))
+        return self.measure_rows(images[rows], rows, nothing), rows
 
     def learn_untouched(self, images: np.ndarray, pins: np.ndarray | None) -> "TouchReader":
         """Return the reader that measures from the mean of these images, of an untouched dome."""

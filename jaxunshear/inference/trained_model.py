@@ -305,15 +305,9 @@ class TrainedModel:
 
     def _predict_batch(self, images: np.ndarray) -> tuple[Tree, Touch, np.ndarray]:
         """Return what `Predictions` begin with, and the touch of images where it is measured."""
-        inputs, reader = self.reader.read(images), self.touch_reader
+        inputs = self.reader.read(images)
         judged = judge_batch(images, inputs.identified, self.appearance, self.force)
-        if inputs.pins is None:
-            measured = reader.find_doubtful(judged, self.force)
-            nothing = Touch(*np.full((len(Touch._fields), len(images)), np.nan))
-            touch = reader.measure_rows(images[measured], measured, nothing)
-        else:
-            measured = np.ones(len(images), bool)
-            touch = reader.measure(images, inputs.pins)
+        touch, measured = self.touch_reader.measure_some(images, inputs.pins, judged, self.force)
         reasons = refuse_untouched(judged.rejection, touch, self.force)
         unsheared, poses = jax.device_get(self._forward(scale_inputs(inputs.values)))
         outputs = self.reader.finish(inputs, unsheared, poses)
