@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxunshear.angles import wrap_degrees
+from jaxunshear.config.targets import get_unit
 
 DRIFT = {"mm": 20.0, "deg": 200.0}  # per s^1.5: how much a rate changes, by unit
 NOISE = {"mm": 0.3, "deg": 5.0}  # of a pose, if the model's run does not know its half-widths
@@ -79,4 +80,4 @@ def _wrap_angles(names: Sequence[str], values: np.ndarray) -> np.ndarray:
 
 
 def _select(by_unit: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-    return np.array([by_unit[name.rpartition("_")[2]] for name in names])
+    return np.array([by_unit[get_unit(name)] for name in names])
