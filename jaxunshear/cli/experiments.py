@@ -23,9 +23,9 @@ from jaxunshear.config.network_config import list_trained_networks
 from jaxunshear.config.rules import validate
 from jaxunshear.config.serialization import (
     apply_preset,
+    check_unreleased,
     find_model_folder,
     load_settings,
-    refuse_weights,
 )
 from jaxunshear.config.sweep import (
     Sweep,
@@ -56,7 +56,7 @@ def handle_stages(arguments: argparse.Namespace, command: str) -> int:
         experiment = _write_fit_experiment(arguments)
     elif arguments.command == "evaluate" and (folder := find_model_folder(arguments.file)).is_dir():
         if not arguments.recordings:
-            refuse_weights(arguments.file)
+            check_unreleased(arguments.file)
         arguments.file = folder
         experiment = _load_finished_experiment(arguments)
         if arguments.recordings:

@@ -86,7 +86,7 @@ def release(arguments: argparse.Namespace, command: str) -> int:
 def ablate(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.evaluation import code_swaps, codes, leakage
 
-    refuse_weights(arguments.run)
+    check_unreleased(arguments.run)
     experiment = load_settings(arguments.run)
     if arguments.leakage:
         from jaxunshear.report.leakage_figure import plot_leakage

@@ -252,8 +252,8 @@ def _select_understood(
         return rows
     field = sources[modality.sheared]
     images = reader.take(split, rows, (field,))[field][..., 0]
-    reasons, _ = judge_batch(images, np.ones(len(images), bool), test.appearance, force=False)
-    return rows[reasons == ""]
+    judged = judge_batch(images, np.ones(len(images), bool), test.appearance, force=False)
+    return rows[judged.rejection == ""]
 
 
 def _score_rows(

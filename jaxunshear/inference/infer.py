@@ -200,6 +200,7 @@ class _FolderRun:
         ]
         start = time.perf_counter()
         predictions = self.model.predict(images)
+        touches = predictions.touch._asdict()
         self.seconds.append((time.perf_counter() - start) / BATCH)
         for i, frame in enumerate(batch):
             reason = str(predictions.rejection[i])
@@ -213,7 +214,7 @@ class _FolderRun:
             self._poses.append(poses)
             unsheared = predictions.unsheared
             image = None if unsheared is None else unsheared[i]
-            touch = {name: float(v[i]) for name, v in predictions.touch._asdict().items()}
+            touch = {name: float(values[i]) for name, values in touches.items()}
             yield _Result(frame.row, frame.name, reason, image, poses, touch)
 
     def format_labels(self, result: _Result) -> dict[str, str]:

@@ -31,8 +31,8 @@ from jaxunshear.perception.sensor_check import (
     MIN_PLAUSIBILITY,
     NO_MINIMUM,
     SensorAppearance,
-    compute_plausibility,
     explain_rejection,
+    judge_image,
 )
 from jaxunshear.perception.touch import (
     NO_CONTACT_REASON,
@@ -41,6 +41,7 @@ from jaxunshear.perception.touch import (
     find_no_contact,
     make_recorded_gauge,
     make_touch_gauge,
+    may_be_untouched,
     measure_touch,
 )
 
@@ -77,7 +78,12 @@ class Predictions(NamedTuple):
     # (B,) in [0, 1]: how likely the image is one of the model's sensor, times
     # `compute_confidence` of the unsheared image; 0 if it is rejected
     confidence: np.ndarray
-    touch: Touch
+    measure_touch: Callable[[], Touch]  # once; of networks over images it tracks the pins
+
+    @property
+    def touch(self) -> Touch:
+        """What pins show of the contact; measured when it is first asked for."""
+        return self.measure_touch()
 
 
 class Codes(NamedTuple):
@@ -167,6 +173,29 @@ class TouchReader(NamedTuple):
         """Measure images (B, S, S) of {0, 255}, whose pins (B, P, 2) px may be known."""
         return measure_touch(self.gauge, self._track(images) if pins is None else pins)
 
+    def measure_rows(self, images: np.ndarray, rows: np.ndarray, touch: Touch) -> Touch:
+        """Return `touch` of B images with `rows`, (B,) bool, measured: those of `images`."""
+        values = np.array(touch)
+        if rows.any():
+            values[:, rows] = self.measure(images, None)
+        return Touch(*values)
+
+    def measure_some(
+        self, images: np.ndarray, pins: np.ndarray | None, judged: "Judgement", force: bool
+    ) -> tuple[Touch, np.ndarray]:
+        """Measure where pins are known, or `add_no_contact` may refuse; return where, (B,)."""
+        if pins is not None:
+            return self.measure(images, pins), np.ones(len(images), bool)
+        reasons = zip(judged.rejection.tolist(), judged.pins, strict=True)
+        rows = np.array(
+            [
+                not (force or reason) and may_be_untouched(self.gauge, detected)
+                for reason, detected in reasons
+            ]
+        )
+        nothing = Touch(*np.full((len(Touch._fields), len(images)), np.nan))
+        return self.measure_rows(images[rows], rows, nothing), rows
+
     def learn_rest_positions(self, images: np.ndarray, pins: np.ndarray | None) -> "TouchReader":
         """Return the reader that measures from the mean of these images, of an untouched dome."""
         pins = self._track(images) if pins is None else pins.copy()
@@ -223,17 +252,25 @@ def compute_confidences(unsheared: np.ndarray | None) -> np.ndarray | float:
     return 1.0 if unsheared is None else np.asarray(_compute_confidences(unsheared[..., None]))
 
 
+class Judgement(NamedTuple):
+    """What B images are judged by."""
+
+    rejection: np.ndarray  # (B,) of text: why an image is rejected; empty if it is not
+    plausibility: np.ndarray  # (B,)
+    pins: tuple[np.ndarray, ...]  # (N, 2) px each, without identities
+
+
 def judge_batch(
     images: np.ndarray, identified: np.ndarray, expected: SensorAppearance, force: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Say of each image why it is rejected, and how plausible it is, (B,) each."""
+) -> Judgement:
+    """Judge whether images are of the expected sensor, with their pins identified."""
     minimum = NO_MINIMUM if force else MIN_PLAUSIBILITY
-    plausibility = [compute_plausibility(image, expected) for image in images]
+    plausibility, pins = zip(*(judge_image(image, expected) for image in images), strict=True)
     rejection = [
         explain_rejection(*each, minimum)
         for each in zip(identified.tolist(), plausibility, strict=True)
     ]
-    return np.array(rejection), np.array(plausibility)
+    return Judgement(np.array(rejection), np.array(plausibility), pins)
 
 
 def add_no_contact(reasons: np.ndarray, touch: Touch, force: bool) -> np.ndarray:

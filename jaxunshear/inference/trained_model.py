@@ -11,7 +11,7 @@
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 
 import jax
@@ -257,8 +257,8 @@ class TrainedModel:
 
         def encode_batch(batch: np.ndarray) -> tuple[Array | None, ...]:
             inputs = self.reader.read(batch)
-            reasons, _ = judge_batch(batch, inputs.identified, self.appearance, self.force)
-            accepted = jnp.asarray(reasons == "")[:, None]
+            judged = judge_batch(batch, inputs.identified, self.appearance, self.force)
+            accepted = jnp.asarray(judged.rejection == "")[:, None]
             return tuple(
                 code if code is None else jnp.where(accepted, code.reshape(len(code), -1), jnp.nan)
                 for code in run(scale_inputs(inputs.values))
@@ -294,16 +294,21 @@ class TrainedModel:
 
     def predict(self, images: np.ndarray) -> Predictions:
         """Unshear and predict poses, with a confidence, or a reason why there are none."""
-        predictions = self._run_in_batches(images, self._predict_batch)
-        for kind, pose in predictions.poses.items():  # JAX has sorted the quantities by name
-            predictions.poses[kind] = {name: pose[name] for name in self.targets if name in pose}
-        return predictions
+        answers, touch, measured = self._run_in_batches(images, self._predict_batch)
+        # networks over images need no pins, and tracking these takes as long as all else
+        left = check_images(images, self.size)[~measured]  # a copy: a camera reuses its array
+        measure_touch = cache(partial(self.touch_reader.measure_rows, left, ~measured, touch))
+        unsheared, poses, pins, reasons, confidence = answers
+        for kind, pose in poses.items():  # JAX has sorted the quantities by name
+            poses[kind] = {name: pose[name] for name in self.targets if name in pose}
+        return Predictions(unsheared, poses, pins, reasons, confidence, measure_touch)
 
-    def _predict_batch(self, images: np.ndarray) -> Predictions:
+    def _predict_batch(self, images: np.ndarray) -> tuple[Tree, Touch, np.ndarray]:
+        """Return what `Predictions` begin with, and the touch of images where it is measured."""
         inputs = self.reader.read(images)
-        reasons, plausibility = judge_batch(images, inputs.identified, self.appearance, self.force)
-        touch = self.touch_reader.measure(images, inputs.pins)
-        reasons = add_no_contact(reasons, touch, self.force)
+        judged = judge_batch(images, inputs.identified, self.appearance, self.force)
+        touch, measured = self.touch_reader.measure_some(images, inputs.pins, judged, self.force)
+        reasons = add_no_contact(judged.rejection, touch, self.force)
         unsheared, poses = jax.device_get(self._forward(scale_inputs(inputs.values)))
         outputs = self.reader.finish(inputs, unsheared, poses)
 
@@ -311,9 +316,9 @@ class TrainedModel:
             accepted = (reasons == "").reshape(-1, *[1] * (value.ndim - 1))
             return np.where(accepted, value, np.nan)
 
-        confidence = plausibility * compute_confidences(outputs.unsheared) * (reasons == "")
+        confidence = judged.plausibility * compute_confidences(outputs.unsheared) * (reasons == "")
         unsheared, poses, pins = jax.tree.map(keep_accepted_rows, outputs)
-        return Predictions(unsheared, poses, pins, reasons, confidence, touch)
+        return (unsheared, poses, pins, reasons, confidence), touch, measured
 
     def compile(self, batch: int) -> None:
         """Load the networks and compile them for this many images."""

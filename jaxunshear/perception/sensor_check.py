@@ -76,13 +76,18 @@ def measure_sensor_appearance(pins_px: np.ndarray, size: int) -> SensorAppearanc
 
 def measure_image_appearance(image: np.ndarray) -> SensorAppearance:
     """Measure the pins of a binary image (S, S) uint8 of {0, 255}."""
+    return _measure_image(image)[0]
+
+
+def _measure_image(image: np.ndarray) -> tuple[SensorAppearance, np.ndarray]:
+    """Measure an image's pins, and return them (N, 2) px; of dust none are found."""
     dots = ndimage.label(np.asarray(image) > 127)[1]
     if dots > (len(image) / MIN_SPACING_PX) ** 2:  # finding pins in dust takes long
-        return SensorAppearance(dots)
+        return SensorAppearance(dots), np.zeros((0, 2))
     pins = detect_pins_fast(image)
     if len(pins) < MIN_PINS:
-        return SensorAppearance(len(pins))
-    return measure_sensor_appearance(pins, len(image))
+        return SensorAppearance(len(pins)), pins
+    return measure_sensor_appearance(pins, len(image)), pins
 
 
 def invert_image(image: np.ndarray) -> np.ndarray:
@@ -93,7 +98,13 @@ def invert_image(image: np.ndarray) -> np.ndarray:
 
 def compute_plausibility(image: np.ndarray, expected: SensorAppearance) -> float:
     """Return how likely a binary image (S, S) uint8 is one of this sensor's, in [0, 1]."""
-    return _score(measure_image_appearance(image), expected)
+    return judge_image(image, expected)[0]
+
+
+def judge_image(image: np.ndarray, expected: SensorAppearance) -> tuple[float, np.ndarray]:
+    """Return the plausibility of a binary image, and the pins (N, 2) px that it was judged by."""
+    appearance, pins = _measure_image(image)
+    return _score(appearance, expected), pins
 
 
 def _score(appearance: SensorAppearance, expected: SensorAppearance) -> float:

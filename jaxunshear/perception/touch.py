@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
 from scipy.special import expit
 
 from jaxunshear.config.sensor import FITTED_CAMERA, TACTIP_331_FITTED, Camera, Preprocess, Sensor
@@ -26,6 +27,9 @@ from jaxunshear.simulator.pin_layout import compute_pin_tips
 
 WEIGHTS = Path(__file__).with_name("touch.json")
 MIN_CONTACT = 0.5  # probability below which an image shows no contact
+CERTAIN_CONTACT = 0.99  # from which on pins that are not tracked show a contact, too
+MAX_MOTION = 0.4  # of the spacing, up to which a pin is the one next to its place
+MIN_RIM_SHARE = 0.8  # of the rim's pins that must be so
 NO_CONTACT_REASON = "no contact"
 RIM_RINGS = 2  # of the outermost rings, which show the view's shift
 ZONES = (0.0, 0.3, 0.55, 0.8, 1.01)  # of the rim's radius: limits between groups of rings
@@ -144,8 +148,7 @@ def measure_field(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> Motion
     lattice = gauge.lattice
     full = [_complete(lattice, each - lattice.rest) for each in pins]
     motion = gauge.mm_per_px * np.reshape(full, (-1, *lattice.rest.shape))
-    rim = lattice.ring > lattice.ring.max() - RIM_RINGS
-    motion = motion - np.median(motion[:, rim], axis=1, keepdims=True)
+    motion = motion - np.median(motion[:, _find_rim(lattice)], axis=1, keepdims=True)
     smooth = np.einsum("pkn,bpnc->kcbp", gauge.plane, motion[:, gauge.near])
     (xx, yx), (xy, yy) = smooth[1:]  # of x and y, along x; then along y
     offset = np.square(motion - lattice.neighbour_weights @ motion).sum(-1)
@@ -156,6 +159,11 @@ def measure_field(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> Motion
         strain=np.sqrt(xx**2 + yy**2 + (xy + yx) ** 2 / 2),
         noise_mm=np.sqrt(np.median(offset, axis=1) / (2 * np.log(2))),
     )
+
+
+def _find_rim(lattice: Lattice) -> np.ndarray:
+    is_rim: np.ndarray = lattice.ring > lattice.ring.max() - RIM_RINGS
+    return is_rim
 
 
 def _complete(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
@@ -233,6 +241,24 @@ def measure_touch(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> Touch:
     values = np.full((len(touch), len(pins)), np.nan)
     values[:, followed] = touch
     return Touch(*values)
+
+
+def may_be_untouched(gauge: TouchGauge, detected: Float[np.ndarray, "N 2"]) -> bool:
+    """Say whether pins px whose identities are not known may be of a dome that touches nothing.
+
+    Of such a dome each pin is the one next to its place. If these show a contact, there is one.
+    """
+    if not len(detected):
+        return True
+    lattice = gauge.lattice
+    limit, rim, tree = MAX_MOTION * lattice.spacing, _find_rim(lattice), cKDTree(detected)
+    nearest = tree.query(lattice.rest[rim])[1]
+    shift = np.median(detected[nearest] - lattice.rest[rim], axis=0)
+    distance, nearest = tree.query(lattice.rest + shift)
+    if np.mean(distance[rim] < limit) < MIN_RIM_SHARE:  # half a spacing has no nearest
+        return True
+    pins = np.where(distance[:, None] < limit, detected[nearest], np.nan)
+    return bool(measure_touch(gauge, pins[None]).contact[0] < CERTAIN_CONTACT)
 
 
 def find_no_contact(touch: Touch) -> Bool[np.ndarray, "B"]:

@@ -385,7 +385,7 @@ def prepare_as_stream(given):
     def predict(images):
         shown.append(images[0])
         touch = Touch(*np.full((len(Touch._fields), 1), np.nan))
-        return Predictions(None, {}, {}, np.array([FOREIGN_REASON]), np.zeros(1), touch)
+        return Predictions(None, {}, {}, np.array([FOREIGN_REASON]), np.zeros(1), lambda: touch)
 
     streamed.predict = predict
     source = (SourceFrame(i, str(i), frame) for i, frame in enumerate(frames))

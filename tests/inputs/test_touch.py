@@ -18,7 +18,7 @@ from jaxunshear.config.sensor import TACTIP_331, Nuisance
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.data.simulation import render_images
 from jaxunshear.errors import UserError
-from jaxunshear.inference import infer
+from jaxunshear.inference import infer, readers
 from jaxunshear.inference.trained_model import load_model
 from jaxunshear.perception.preprocess import View
 from jaxunshear.perception.touch import Touch
@@ -191,6 +191,22 @@ def has_no_pose(door):
     assert answer.touch.contact[0] < 0.5
 
 
+def tracks_when_asked(door):
+    tracked, track = [], readers.track_images
+    door.patch.setattr(readers, "track_images", lambda *a, **b: tracked.append(1) or track(*a, **b))
+    frames = np.stack([door.images["deep, usual"]])
+    answer = door.model.predict(frames)
+    frames[:] = 0  # a camera writes its next frame there
+    assert answer.rejection[0] == "" and not tracked
+    expected = door.touch("deep, usual")
+    np.testing.assert_array_equal(answer.touch, expected)
+    assert answer.touch is answer.touch and len(tracked) == 2
+    untouched, deep = "untouched, shifted", "deep, usual"
+    mixed = door.model.predict(np.stack([door.images[untouched], door.images[deep]]))
+    assert mixed.rejection.tolist() == ["no contact", ""] and len(tracked) == 3
+    np.testing.assert_allclose(mixed.touch, door.touch(untouched, deep))
+
+
 def has_pose(name, force=False):
     def check(door):
         answer = predict(door, name, force)
@@ -267,6 +283,7 @@ CASES = [
     Case("a mixed batch", PYTHON, "each as alone", keeps_rows),
     Case("untouched", PREDICT, "no pose, no contact", has_no_pose),
     Case("untouched, force", PREDICT, "a pose", has_pose("untouched, usual", True)),
+    Case("3 mm", PREDICT, "tracked only when asked", tracks_when_asked),
     Case("0.5 mm", PREDICT, "a pose", has_pose("slight, noisy")),
     Case("one of three untouched", "pose", "left out by name, exit 0", pose_of_some),
     Case("half untouched", "pose", "exit 1", pose_of_half),

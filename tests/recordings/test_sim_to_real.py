@@ -130,7 +130,9 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
         poses = {AS_RECORDED: read(off), UNSHEARED: read(off / 2, moved=0.3)}
         both = {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)}
         touch = Touch(*np.full((len(Touch._fields), len(pose)), 0.5))
-        return Predictions(None, poses, both, np.full(len(pose), ""), np.ones(len(pose)), touch)
+        return Predictions(
+            None, poses, both, np.full(len(pose), ""), np.ones(len(pose)), lambda: touch
+        )
 
     experiment = Experiment("small", "none", paired=PairedData(preprocess=preprocess))
     network = TrainedModel(tmp_path / "weights", experiment)

@@ -45,7 +45,9 @@ class StandIn(TrainedModel):
         time.sleep(self.seconds)
         poses = {UNSHEARED: {"edge_mm": np.array([0.25]), "edge_deg": np.array([-3.0])}}
         touch = Touch(*np.full((len(Touch._fields), 1), 0.5))
-        return Predictions(images / 255.0, poses, {}, np.array([""]), np.array([0.9]), touch)
+        return Predictions(
+            images / 255.0, poses, {}, np.array([""]), np.array([0.9]), lambda: touch
+        )
 
 
 def run(frames, live=False, seconds=0.0, images=None, is_filtered=False, force=False):
@@ -113,7 +115,8 @@ def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
     assert summary.problems == {FOREIGN_REASON: 1, UNIDENTIFIED_REASON: 1}
     assert lines[0]["confidence"] > 0.5 and summary.pose_mae == {"edge_mm": 0}
     for line, reason in zip(lines[1:], (FOREIGN_REASON, UNIDENTIFIED_REASON), strict=True):
-        assert "pose" not in line
+        common = {"schema", "frame", "name", "time_s", "confidence", "error", "ms"}
+        assert line.keys() - {"touch"} == common
         assert (line["confidence"], line["error"]) == (0, reason)
     summary, lines = answer(True)
     assert (summary.used, summary.problems) == (2, {UNIDENTIFIED_REASON: 1})
