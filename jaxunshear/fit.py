@@ -5,18 +5,21 @@
 
 import dataclasses
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
-from jaxunshear.config.data import Recorded, RecordedTaps
+from jaxunshear.config.data import Recorded, RecordedTaps, RecordedTasks
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import (
     DISENTANGLED,
     POSENET,
     POSENET_SHEARED,
-    POSENETS,
+    REGISTRY,
     PinNet,
     UnshearNet,
+    select_networks,
 )
 from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS, list_column_names
 from jaxunshear.config.training import POSENET_TRAINING, Training
@@ -103,13 +106,31 @@ def set_recordings(
     return replace(experiment, paired=recorded, networks=networks, sensor=sensor)
 
 
-def select_networks(networks: tuple[str, ...], taps: bool, slides: bool) -> tuple[str, ...]:
-    """Select the networks that can be trained if there are `taps`, `slides`, or both."""
-    if taps and slides:
-        return networks
-    if taps:
-        return tuple(name for name in networks if name == POSENET)
-    return (POSENET_SHEARED,) if set(networks) & set(POSENETS) else ()
+def set_tasks(experiment: Experiment, folders: Sequence[str]) -> Experiment:
+    """Change `experiment` to recordings of several tasks, a folder each, for one network.
+
+    Raises UserError if they are of different sensors, or no folder holds slides.
+    """
+    parts = [set_recordings(experiment, folder, folder) for folder in folders]
+    for folder, part in zip(folders, parts, strict=True):
+        if part.sensor != parts[0].sensor:
+            raise UserError(
+                f"{folder} is of a sensor of {part.sensor.pins} pins and {folders[0]} of one of "
+                f"{parts[0].sensor.pins}: name recordings of sensors of one make"
+            )
+    tasks = tuple(
+        replace(
+            cast(Recorded, part.paired),
+            tap_folder=folder if set(part.networks) - {POSENET_SHEARED} else "",
+            slide_folder=folder if set(part.networks) - {POSENET} else "",
+        )
+        for folder, part in zip(folders, parts, strict=True)
+    )
+    networks = tuple(name for name in experiment.networks if REGISTRY[name].role == "unshears")
+    if not any(task.tap_folder and task.slide_folder for task in tasks):
+        raise UserError("none of the folders holds both taps and slides: nothing unshears")
+    paired = RecordedTasks(tasks)
+    return replace(experiment, paired=paired, networks=networks, sensor=parts[0].sensor)
 
 
 def format_experiment(experiment: Experiment) -> str:
@@ -133,10 +154,18 @@ def _format_dataclass(settings: Value, modules: dict[str, set[str]], depth: int)
         value = getattr(settings, field.name)
         default = field.default_factory() if callable(field.default_factory) else field.default
         if value != default:
-            nested = dataclasses.is_dataclass(value)
-            source = _format_dataclass(value, modules, depth + 1) if nested else repr(value)
-            lines.append(f"{indent}    {field.name}={source},\n")
+            lines.append(f"{indent}    {field.name}={_format_value(value, modules, depth + 1)},\n")
     return f"{kind}(\n{''.join(lines)}{indent})" if lines else f"{kind}()"
+
+
+def _format_value(value: object, modules: dict[str, set[str]], depth: int) -> str:
+    if dataclasses.is_dataclass(value):
+        return _format_dataclass(cast(Value, value), modules, depth)
+    if isinstance(value, tuple) and any(map(dataclasses.is_dataclass, value)):
+        items = [_format_value(item, modules, depth + 1) for item in value]
+        indent = "    " * (depth + 1)
+        return "(\n" + "".join(f"{indent}{item},\n" for item in items) + "    " * depth + ")"
+    return repr(value)
 
 
 def write_experiment(experiment: Experiment, file: Path) -> None:

@@ -129,13 +129,21 @@ def _apply_recordings(experiment: Experiment, arguments: argparse.Namespace) -> 
 
 def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
     """Write the experiment of `fit` beside its results."""
-    from jaxunshear.fit import BASE_EXPERIMENT, set_recordings, write_experiment
+    from jaxunshear.fit import BASE_EXPERIMENT, set_recordings, set_tasks, write_experiment
 
-    if not (arguments.taps or arguments.slides):
-        raise UserError("name the folders of your recordings: --taps DIR --slides DIR")
-    experiment = override_fields(BASE_EXPERIMENT, ["--name", "fit", *arguments.fields])
-    folders = (arguments.taps, arguments.slides, arguments.pairs)
-    experiment = set_recordings(experiment, *(str(folder or "") for folder in folders))
+    named = [str(folder) for folder in arguments.recordings or ()]
+    folders = [str(each or "") for each in (arguments.taps, arguments.slides, arguments.pairs)]
+    if bool(named) == any(folders):
+        raise UserError(
+            "name your recordings: --taps DIR --slides DIR; or folders that hold both, "
+            "one for each task, --recordings DIR DIR"
+        )
+    fields = ["--name", "fit", *(("--unshear.input", "pins") if named else ()), *arguments.fields]
+    experiment = override_fields(BASE_EXPERIMENT, fields)
+    if len(named) > 1:
+        experiment = set_tasks(experiment, named)
+    else:
+        experiment = set_recordings(experiment, *(named * 2 or folders))
     validate(experiment)
     file = arguments.out / f"{experiment.name}.py"
     write_experiment(experiment, file)
@@ -164,6 +172,11 @@ def _score_recordings(experiment: Experiment, arguments: argparse.Namespace, com
     from jaxunshear.evaluation.sim_to_real import score_transfer
     from jaxunshear.results.record_files import write_record
 
+    if experiment.paired.has_parts:
+        from jaxunshear.task_run import find_task
+
+        arguments.file = find_task(arguments.file, arguments.recordings)
+        experiment = load_settings(arguments.file)
     if experiment.paired.is_simulated:
         results = score_transfer(experiment, arguments.file, arguments.recordings, command)
     else:
@@ -279,6 +292,15 @@ OPTIONS: dict[str, tuple[str, tuple[Option, ...]]] = {
     "fit": (
         "fit networks to your own recordings: writes an experiment about them, and runs it",
         (
+            (
+                "--recordings",
+                {
+                    "metavar": "DIR",
+                    "nargs": "+",
+                    "help": "folders of recordings, one for each task or day: one network, "
+                    "over pins unless --unshear.input images, unshears all",
+                },
+            ),
             path("--taps", "DIR", "recorded taps"),
             path("--slides", "DIR", "recorded slides"),
             path("--pairs", "FILE", "CSV with columns slide and tap: which belong together"),

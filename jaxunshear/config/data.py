@@ -1,7 +1,9 @@
 """Settings of data sources: the two simulated data sets, and recordings."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal, cast
 
 from jaxunshear.config.networks import POSENET_SHEARED, RENDERER, NetworkSpec
@@ -72,6 +74,7 @@ class SourceSettings(DataSettings):
     source: ClassVar[type | str] = ""
     is_simulated: ClassVar[bool] = False
     contacts: ClassVar[str] = "other data"  # what networks learn from, in messages
+    has_parts: ClassVar[bool] = False  # each part trains the networks that others learn from
 
     def require_simulation(self, what: str) -> "PairedData":
         """Return the settings of simulated contacts. Raises UserError, as `what` needs these."""
@@ -170,6 +173,7 @@ class PoseData(SimulatedData):
     seed: Seed = 1
 
 
+JOINT = "joint"  # the training of a network on all tasks, beside those of each
 # pairings that need a renderer; "simulated" for test slides alone
 RENDERED_PAIRINGS = ("rendered", "simulated")
 
@@ -190,7 +194,7 @@ class Recorded(SourceSettings):
     version: ClassVar[str] = "1.0.0"
     not_stored: ClassVar[tuple[str, ...]] = (
         *("tap_folder", "slide_folder", "pairs", "pairing"),
-        *("labelled", "unlabelled", "direct_taps"),
+        *("labelled", "unlabelled", "direct_taps", "others"),
     )
     source: ClassVar[type | str] = "jaxunshear.data.recorded_source:RecordedSource"
     contacts: ClassVar[str] = "recordings"
@@ -200,6 +204,8 @@ class Recorded(SourceSettings):
     slide_folder: str = ""
     digest: str = ""  # of the files there; computed when the recordings are named
     pairs: str = ""  # table of pairs, columns slide and tap, for pairing "file"
+    # digests of the recordings of other tasks that the network that unshears learnt from, too
+    others: tuple[str, ...] = ()
     # a slide's partner: "rendered": what a renderer, trained on taps, draws at its pose; "nearest":
     # the tap of the nearest pose; "pose_id" and "file": a recorded tap; "simulated": training
     # slides are simulated, and recorded ones are for tests alone
@@ -250,6 +256,7 @@ class Recorded(SourceSettings):
         )
         if spec.role == "unshears":
             return used
+        used = replace(used, others=())
         # of the pairings only posenet_sheared uses one, if it learns from simulated slides
         simulated = not takes_taps_alone and self.pairing == "simulated"
         pairing: PairingMethod = "simulated" if simulated else "rendered"
@@ -257,8 +264,48 @@ class Recorded(SourceSettings):
 
 
 @dataclass(frozen=True)
+class RecordedTasks(SourceSettings):
+    """Recordings of several tasks or days, or of sensors of one make: one network unshears all.
+
+    Each has its own PoseNets, and is a `Recorded` as if it were alone.
+    """
+
+    version: ClassVar[str] = "1.0.0"
+    source: ClassVar[type | str] = "jaxunshear.data.task_source:TaskSource"
+    contacts: ClassVar[str] = "recordings"
+    has_parts: ClassVar[bool] = True
+
+    tasks: tuple[Recorded, ...] = ()  # the first gives the frame of the pins
+
+    @property
+    def preprocess(self) -> Preprocess:  # type: ignore[override]
+        return self.tasks[0].preprocess if self.tasks else Preprocess()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name the tasks by their folders, with numbers where two have one name."""
+        folders = [Path(task.tap_folder or task.slide_folder).name for task in self.tasks]
+        counts = Counter([*folders, JOINT])
+        return tuple(
+            f"{name}_{i + 1}" if counts[name] > 1 else name for i, name in enumerate(folders)
+        )
+
+    def find_problems(self) -> Iterator[Problem]:
+        if len(self.tasks) < 2:
+            yield "tasks", "name two folders of recordings or more: --recordings DIR DIR"
+        if len({task.digest for task in self.tasks}) < len(self.tasks):
+            yield "tasks", "name each recording once"
+        if len({task.preprocess for task in self.tasks}) > 1:
+            yield "tasks", "prepare the images of all tasks alike"
+
+    def select_for(self, spec: NetworkSpec, pose: object) -> DataSettings:
+        used = tuple(cast(Recorded, task.select_for(spec, pose)) for task in self.tasks)
+        return replace(self, tasks=used)
+
+
+@dataclass(frozen=True)
 class RecordedTaps:
     """The taps of the source that `paired` names; replaces `PoseData`."""
 
 
-SourceSettings.registered |= {kind.__name__: kind for kind in (PairedData, Recorded)}
+SourceSettings.registered |= {kind.__name__: kind for kind in (PairedData, Recorded, RecordedTasks)}

@@ -113,6 +113,8 @@ def takes_taps(experiment: Experiment) -> bool:
 
 
 def _list_helpers(experiment: Experiment, spec: NetworkSpec) -> tuple[str, ...]:
+    if experiment.paired.has_parts:
+        return ()
     pins = uses_pins(experiment)
     training = experiment.train_pins if pins else experiment.train
     teacher = (TEACHER,) if spec.role == "unshears" and uses_teacher(training) else ()

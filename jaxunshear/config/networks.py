@@ -196,6 +196,15 @@ def add_network(spec: NetworkSpec) -> None:
     REGISTRY[spec.name] = spec
 
 
+def select_networks(networks: tuple[str, ...], taps: bool, slides: bool) -> tuple[str, ...]:
+    """Select the networks that can be trained if there are `taps`, `slides`, or both."""
+    if taps and slides:
+        return networks
+    if taps:
+        return tuple(name for name in networks if name == POSENET)
+    return (POSENET_SHEARED,) if set(networks) & set(POSENETS) else ()
+
+
 def list_networks() -> tuple[str, ...]:
     """List the networks that an experiment can name, with registered ones."""
     return tuple(name for name in REGISTRY if name not in (RENDERER, TEACHER))

@@ -56,6 +56,8 @@ class RecordedSource(DataSource):
             origin["unlabelled"] = used.unlabelled
         if used.direct_taps != "none":
             origin["direct_taps"] = used.direct_taps
+        if used.others:
+            origin["others"] = list(used.others)
         return origin
 
     def open_stored(self, data_dir: Path, settings: DataSettings | None = None) -> "RecordedSet":

@@ -32,11 +32,16 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
 if TYPE_CHECKING:
+    from jax import Array
+
     from jaxunshear.data.pairing import PoseEstimator, SlideSimulator, TapRenderer
     from jaxunshear.data.reader import Batch, Reader
     from jaxunshear.data.recorded_set import RecordedSet
     from jaxunshear.data.simulation import SimulationEngine
     from jaxunshear.data.stored_sets import SetReader
+
+
+Teacher = Callable[["Array"], "Array"]  # images or pins (B, ...) -> outputs (B, K) of a PoseNet
 
 
 class PinLayout(NamedTuple):
@@ -56,12 +61,17 @@ class Examples(NamedTuple):
     per_epoch: int  # examples that count as one epoch: unlabelled slides count, too
     taps: "Reader | None" = None  # recorded ones with labels, if there are any
     slide_targets: Targets = ()  # what varies between the slides of the data
+    load_teachers: tuple[Callable[[], Teacher], ...] = ()  # of the parts, if the source has some
 
 
 class Helpers(Protocol):
     """What trained networks and the simulator add to examples, loaded when it is needed."""
 
+    def select_part(self, part: Experiment) -> "Helpers": ...
+
     def load_renderer(self) -> "TapRenderer": ...
+
+    def load_teacher(self, shift: np.ndarray) -> "Teacher": ...
 
     def load_estimator(self) -> "PoseEstimator": ...
 
@@ -89,6 +99,8 @@ class DataSource:
     predicts_directly: ClassVar[bool] = True
     # whether a run keeps what the frames of its sensor have in common (`read_frame`)
     has_frame: ClassVar[bool] = False
+    # a function with the arguments of `run_stages`, as `module:function`, that runs them instead
+    runner: ClassVar[str] = ""
 
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment

@@ -292,6 +292,13 @@ def render_pins(net: PinRenderer, variables: Variables, outputs: Outputs) -> Pin
     return _convert_to_pins(variables, _apply_dense(net, variables, 2 * outputs - 1))
 
 
+def move_frame(variables: Variables, shift: ArrayLike) -> Variables:
+    """Move a network to frames whose pins get to its own by `shift` px; it returns theirs."""
+    constants = variables["batch_stats"]
+    moved = constants["rest"] - jnp.asarray(shift, jnp.float32)
+    return variables | {"batch_stats": constants | {"rest": moved}}
+
+
 def add_noise(net: PinNet, pins: Pins, key: Array) -> Pins:
     """Add the noise of training examples to pins."""
     return pins + net.noise_px * jax.random.normal(key, pins.shape)

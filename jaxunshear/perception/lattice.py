@@ -12,6 +12,7 @@ from jaxunshear.config.sensor import Sensor
 NEIGHBOURS = 18  # pins that predict the position of another one
 POLYNOMIAL_DEGREES = (2, 3, 4)  # of the polynomials that refine a motion, in turn
 INNER_RING_SHARE = 0.75  # of the outermost ring
+RIM_RINGS = 2  # of the outermost rings, which show the view's shift
 
 
 class Lattice(NamedTuple):
@@ -103,6 +104,12 @@ def make_lattice(
     if not lattice.lost:
         return lattice
     return lattice._replace(intact=make_lattice(rest[lattice.remaining], ring[lattice.remaining]))
+
+
+def find_rim(ring: np.ndarray) -> np.ndarray:
+    """Find which pins (P,) are in the outermost rings, which contacts move least."""
+    is_rim: np.ndarray = ring > ring.max() - RIM_RINGS
+    return is_rim
 
 
 def measure_spacing(rest: Float[np.ndarray, "P 2"]) -> float:

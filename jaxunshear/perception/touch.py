@@ -21,7 +21,7 @@ from scipy.special import expit
 
 from jaxunshear.config.sensor import FITTED_CAMERA, TACTIP_331_FITTED, Camera, Preprocess, Sensor
 from jaxunshear.files import Json, read_object
-from jaxunshear.perception.lattice import Lattice, make_lattice
+from jaxunshear.perception.lattice import Lattice, find_rim, make_lattice
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 
@@ -31,7 +31,6 @@ CERTAIN_CONTACT = 0.99  # from which on pins that are not tracked show a contact
 MAX_MOTION = 0.4  # of the spacing, up to which a pin is the one next to its place
 MIN_RIM_SHARE = 0.8  # of the rim's pins that must be so
 NO_CONTACT_REASON = "no contact"
-RIM_RINGS = 2  # of the outermost rings, which show the view's shift
 ZONES = (0.0, 0.3, 0.55, 0.8, 1.01)  # of the rim's radius: limits between groups of rings
 CONTACT_STRAIN = 0.5  # of the largest: from here on a pin belongs to the contact
 SHEAR_FLOOR = (0.2, 1.0)  # mm and deg: an error grows with the shear from here on
@@ -148,7 +147,7 @@ def measure_field(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> Motion
     lattice = gauge.lattice
     full = [_complete(lattice, each - lattice.rest) for each in pins]
     motion = gauge.mm_per_px * np.reshape(full, (-1, *lattice.rest.shape))
-    motion = motion - np.median(motion[:, _find_rim(lattice)], axis=1, keepdims=True)
+    motion = motion - np.median(motion[:, find_rim(lattice.ring)], axis=1, keepdims=True)
     smooth = np.einsum("pkn,bpnc->kcbp", gauge.plane, motion[:, gauge.near])
     (xx, yx), (xy, yy) = smooth[1:]  # of x and y, along x; then along y
     offset = np.square(motion - lattice.neighbour_weights @ motion).sum(-1)
@@ -159,11 +158,6 @@ def measure_field(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> Motion
         strain=np.sqrt(xx**2 + yy**2 + (xy + yx) ** 2 / 2),
         noise_mm=np.sqrt(np.median(offset, axis=1) / (2 * np.log(2))),
     )
-
-
-def _find_rim(lattice: Lattice) -> np.ndarray:
-    is_rim: np.ndarray = lattice.ring > lattice.ring.max() - RIM_RINGS
-    return is_rim
 
 
 def _complete(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
@@ -251,7 +245,7 @@ def may_be_untouched(gauge: TouchGauge, detected: Float[np.ndarray, "N 2"]) -> b
     if not len(detected):
         return True
     lattice = gauge.lattice
-    limit, rim, tree = MAX_MOTION * lattice.spacing, _find_rim(lattice), cKDTree(detected)
+    limit, rim, tree = MAX_MOTION * lattice.spacing, find_rim(lattice.ring), cKDTree(detected)
     nearest = tree.query(lattice.rest[rim])[1]
     shift = np.median(detected[nearest] - lattice.rest[rim], axis=0)
     distance, nearest = tree.query(lattice.rest + shift)

@@ -24,6 +24,7 @@ from jaxunshear.report import (
     wording,
 )
 from jaxunshear.report.html import format_number
+from jaxunshear.report.tasks_page import write_tasks_page
 from jaxunshear.report.wording import Wording
 from jaxunshear.results.record_files import read_record, read_times
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
@@ -39,6 +40,8 @@ def write_report(run_dir: Path) -> Path:
     """
     run_dir = Path(run_dir)
     results = read_record(run_dir / "results.json", Results, EVALUATE_REMEDY)
+    if results.frames:
+        return write_tasks_page(run_dir / "report.html", results)
     results = replace(results, time_s={**results.time_s, **read_times(run_dir)})
     try:
         words = wording.describe(results)

@@ -148,6 +148,14 @@ class Pairing:
 
 
 @dataclass(frozen=True)
+class TaskFrame:
+    """How the pins of one task's frames fit those of the first task."""
+
+    shift_px: Sequence[float]
+    left_px: float  # rms distance of all rest positions that is left over
+
+
+@dataclass(frozen=True)
 class ResultBar:
     """The bar that a figure should clear."""
 
@@ -177,6 +185,7 @@ class Results(Tables):
     recordings: Recordings | None = None
     pairing: Pairing | None = None
     targets: Sequence[Target] | None = None
+    frames: Mapping[str, TaskFrame] = field(default_factory=dict)  # by task, if there are several
     counts: Counts = field(default_factory=Counts)
     bars: Mapping[str, ResultBar] = field(default_factory=dict)
     paper: Mapping[str, FullTable] = field(default_factory=dict)

@@ -28,6 +28,7 @@ from jaxunshear.config.serialization import OLD_FILES, add_version, remove_versi
 from jaxunshear.config.targets import Targets, from_json
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
+from jaxunshear.models.pin_networks import move_frame
 from jaxunshear.models.posenet import count_outputs
 from jaxunshear.models.registry import find_misfit, find_settings_class
 from jaxunshear.models.weights import Net, Variables, list_leaves
@@ -35,6 +36,7 @@ from jaxunshear.models.weights import Net, Variables, list_leaves
 State = TypeVar("State")
 MODEL, SUMMARY = "model.json", "summary.json"
 WEIGHTS, DIGEST, FILES = "weights.npz", "digest", "files"
+FRAME_SHIFT = "frame_shift"  # in model.json: how the pins to be read become the network's own
 
 
 def save(folder: Path, step: int, state: object, record: Json) -> None:
@@ -333,6 +335,17 @@ def _flatten(tree: object, prefix: str = "") -> Json:
     return flat
 
 
+def move_network(source: Path, target: Path, changes: Json, shift: Sequence[float]) -> None:
+    """Copy a trained network over pins to frames whose pins get to its own by `shift` px.
+
+    `changes` replace fields of its model.json.
+    """
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(source, target)
+    changed = files.read_object(source / MODEL) | changes | {FRAME_SHIFT: list(shift)}
+    files.write_json(target / MODEL, changed)
+
+
 class TrainedNetwork(NamedTuple):
     net: Net
     variables: Variables
@@ -343,6 +356,8 @@ def load_network(folder: Path) -> TrainedNetwork:
     """Load a network from its folder. Raises UserError if it is missing, damaged or unfinished."""
     check_training(folder)
     net, variables, targets = read_net(folder), load_best(folder), read_targets(folder)
+    if moved := _read_model(Path(folder) / MODEL).get(FRAME_SHIFT):
+        variables = move_frame(variables, moved)
     if misfit := find_misfit(net, variables, count_outputs(targets)):
         raise UserError(f"{folder}: its weights do not fit its {MODEL} ({misfit}): copy both again")
     return TrainedNetwork(net, variables, targets)

@@ -9,7 +9,7 @@
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -19,24 +19,27 @@ from numpy.typing import ArrayLike
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import NetworkConfig, resolve_network
-from jaxunshear.config.networks import POSENET_SHEARED, RENDERER
+from jaxunshear.config.networks import POSENET_SHEARED, RENDERER, TEACHER
 from jaxunshear.config.splits import hash_text
 from jaxunshear.config.targets import RECORDED_FIELDS
 from jaxunshear.data.reader import Batch, Reader, group_by_pose
 from jaxunshear.data.recorded_set import PoseEstimator, RecordedSet, SlideSimulator, TapRenderer
-from jaxunshear.data.sources import Examples, open_source
+from jaxunshear.data.sources import Examples, Teacher, open_source
 from jaxunshear.data.stored_sets import SetReader, open_set
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import IMAGES, PINS
+from jaxunshear.models.registry import get_net_modality, predict
 from jaxunshear.training.checkpoint import MODEL, TrainedNetwork, load_network
 from jaxunshear.training.losses import ANOTHER, ONE, TAPS
+from jaxunshear.training.provenance import check_origin
 
 POSES_AT_ONCE = 1024
 IMAGES_AT_ONCE = 128
 VALIDATION_BATCH = 64
 FRAME = "frame.json"  # in a run's folder: what all frames of its sensor have in common
+NO_SHIFT = np.zeros(2)
 Batches = Callable[[int], Iterator[Batch]]
 
 
@@ -58,6 +61,10 @@ class HelperLoader:
     data_dir: Path
     run_dir: Path
 
+    def select_part(self, part: Experiment) -> "HelperLoader":
+        """Return the helpers of a part of the experiment, whose run is beside this one."""
+        return replace(self, experiment=part, run_dir=self.run_dir.parent / part.name)
+
     def load_renderer(self) -> TapRenderer:
         """Load the renderer as a function of poses (N, 6). Raises UserError."""
         net, variables, targets = load_helper(self.run_dir / RENDERER, "pairs that are rendered")
@@ -70,6 +77,14 @@ class HelperLoader:
             return _run_in_parts(render_part, poses, POSES_AT_ONCE)
 
         return render
+
+    def load_teacher(self, shift: np.ndarray = NO_SHIFT) -> Teacher:
+        """Load the PoseNet that teaches, for pins that are `shift` px from its own. Raises."""
+        net, variables, _ = load_helper(self.run_dir / TEACHER, "other networks")
+        check_origin(self.experiment, TEACHER, self.run_dir)
+        if get_net_modality(net) is PINS:
+            variables = pin_networks.move_frame(variables, -shift)
+        return partial(predict, net, variables)
 
     def load_estimator(self) -> PoseEstimator:
         """Load the PoseNet of slides as a function of images and pins. Raises UserError.

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
 import jax
+import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.config.targets import Targets
@@ -72,7 +73,10 @@ def compute_reconstruction_term(inputs: PairInputs) -> Array:
 
 
 def compute_pose_label_term(inputs: PairInputs) -> Array:
-    """Compare the pose that the teacher estimates of the unsheared contact with the true one."""
+    """Compare the pose that the teacher estimates of the unsheared contact with the true one.
+
+    Poses of other tasks than the contact's own are NaN, and do not count.
+    """
     return _compare_pose(inputs, posenet.scale_poses(inputs.batch, inputs.targets))
 
 
@@ -84,6 +88,7 @@ def compute_pose_tap_term(inputs: PairInputs) -> Array:
 def _compare_pose(inputs: PairInputs, target: Array) -> Array:
     weights = posenet.list_output_weights(inputs.targets)
     outputs = _get(inputs.teacher)(inputs.unsheared)
+    target = jnp.where(jnp.isnan(target), outputs, target)
     return inputs.modality.compute_pose_loss(outputs, target, weights)
 
 

@@ -10,14 +10,14 @@ from jax import Array
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import get_loss
 from jaxunshear.config.network_config import resolve_network
-from jaxunshear.config.networks import ENTANGLED_LARGE, RENDERER, TEACHER
+from jaxunshear.config.networks import ENTANGLED_LARGE, RENDERER
 from jaxunshear.config.targets import Targets, list_label_fields
 from jaxunshear.config.training import Training, uses_teacher
 from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.models import pin_networks
 from jaxunshear.models.modality import PINS, Batch
-from jaxunshear.models.registry import InitFacts, get_functions, get_net_modality, predict
+from jaxunshear.models.registry import InitFacts, get_functions, get_net_modality
 from jaxunshear.models.unshearnet import match_entangled_size
 from jaxunshear.models.weights import Net, Variables
 from jaxunshear.training import tasks
@@ -27,7 +27,12 @@ from jaxunshear.training.augmentation import (
     make_randomisation,
     make_rotations,
 )
-from jaxunshear.training.examples import load_helper, measure_pin_spread, read_all_training
+from jaxunshear.training.examples import (
+    HelperLoader,
+    load_helper,
+    measure_pin_spread,
+    read_all_training,
+)
 from jaxunshear.training.provenance import check_origin
 
 
@@ -63,7 +68,10 @@ def make_task(
     else:
         teacher = None
         if uses_teacher(training):
-            teacher = partial(predict, *_load_helper(experiment, TEACHER, folder))
+            loaders = examples.load_teachers or (
+                HelperLoader(experiment, folder, folder).load_teacher,
+            )
+            teacher = tasks.join_teachers([load() for load in loaders])
         supervision = tasks.Supervision(
             targets, _choose_slide_targets(net, training, examples), teacher
         )

@@ -5,7 +5,7 @@ contact after another its field `single`. A field {"weight"} (B,) weighs the exa
 for those whose pins are not sure. The losses that need labels need their fields.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -114,6 +114,13 @@ def _choose_swap_partners(
     if "counterfactual" in training.losses:
         same_slide = batch.get(functions.modality.other)
     return same_pose, same_slide
+
+
+def join_teachers(teachers: Sequence[Callable[[Array], Array]]) -> Callable[[Array], Array]:
+    """Join PoseNets to one that gives the outputs of all of them."""
+    if len(teachers) == 1:
+        return teachers[0]
+    return lambda contacts: jnp.concatenate([teach(contacts) for teach in teachers], -1)
 
 
 def _check_teacher(supervision: Supervision) -> None:

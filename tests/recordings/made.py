@@ -120,3 +120,12 @@ def edge(
     write(folder / "tap" / "csv_train", *contacts(taps, False, seed), layout)
     write(folder / "shear" / "csv_train", *contacts(slides, True, seed + 1), layout)
     return folder
+
+
+def surface(folder: Path, taps: int = 60, slides: int = 60, seed: int = 0) -> Path:
+    """Taps and slides on a surface, of which depth alone varies."""
+    for name, count, slid in (("tap", taps, False), ("shear", slides, True)):
+        pose, move = contacts(count, slid, seed + slid)
+        pose[:, 1], pose[:, 5] = 3.0, 0.0
+        write(folder / name / "csv_train", pose, move)
+    return folder

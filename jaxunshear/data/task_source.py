@@ -1,0 +1,151 @@
+"""Recordings of several tasks as one data source: one network learns to unshear all of them.
+
+>>> source = open_source(experiment)  # its `paired` is `RecordedTasks`
+>>> source.list_parts()  # the experiment of each task alone
+
+Pins of all tasks are given in the frame of the first. A frame may differ from it by a shift, which
+the mean over the pins at the rim shows: a contact moves these little, and towards all sides.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from jaxunshear.config.data import Recorded, RecordedTasks
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.network_config import NetworkConfig
+from jaxunshear.config.networks import POSENET, POSENET_SHEARED, select_networks
+from jaxunshear.config.targets import Target, Targets, make_move_targets
+from jaxunshear.data.reader import Batch, Reader
+from jaxunshear.data.recorded_source import RecordedSource, read_pin_layout
+from jaxunshear.data.sources import DataSource, Examples, Helpers, PinLayout
+from jaxunshear.files import Json
+from jaxunshear.perception.lattice import find_rim
+
+PIN_FIELDS = ("canonical_pins", "sheared_pins")
+
+
+class FrameShift(NamedTuple):
+    """What brings px of one frame to those of another."""
+
+    shift: np.ndarray  # (2,) px
+    left_px: float  # rms distance of all rest positions that is left over
+
+
+def align_frames(frame: Json, reference: Json) -> FrameShift:
+    """Align the pins' rest positions of a frame with those of a reference, by their rim."""
+    difference = np.array(reference["place_px"]) - np.array(frame["place_px"])
+    shift = difference[find_rim(np.array(reference["shell"]))].mean(axis=0)
+    left = np.square(difference - shift).sum(axis=1)
+    return FrameShift(shift, float(np.sqrt(left.mean())))
+
+
+class TaskSource(DataSource):
+    """Recordings of several tasks, days or sensors of one make: `RecordedTasks`."""
+
+    pair_fields = RecordedSource.pair_fields
+    pin_fields = RecordedSource.pin_fields
+    has_frame = True
+    runner = "jaxunshear.task_run:run_tasks"
+
+    def describe(self) -> str:
+        names = ", ".join(self.settings.names)
+        return f"This network learnt from recordings of several tasks ({names})."
+
+    def list_parts(self) -> list[Experiment]:
+        """List the experiment of each task alone, by the names of the tasks."""
+        settings: RecordedTasks = self.settings
+        parts = []
+        for part, task in zip(settings.names, settings.tasks, strict=True):
+            has_taps, has_slides = bool(task.tap_folder), bool(task.slide_folder)
+            names = (*self.experiment.networks, POSENET, POSENET_SHEARED)
+            networks = select_networks(names, has_taps, has_slides)
+            parts.append(replace(self.experiment, name=part, paired=task, networks=networks))
+        return parts
+
+    def list_test_digests(self) -> set[str]:
+        return set().union(*(source.list_test_digests() for source in self._list_sources()))
+
+    def list_digests(self, settings: object) -> set[str]:
+        return self.list_test_digests()
+
+    def _list_sources(self) -> list[RecordedSource]:
+        return [RecordedSource(part) for part in self.list_parts()]
+
+    def describe_origin(self, config: NetworkConfig) -> Json:
+        tasks = cast(RecordedTasks, config.source).tasks
+        return {
+            "tasks": [
+                source.describe_origin(replace(config, source=task))
+                for source, task in zip(self._list_sources(), tasks, strict=True)
+            ]
+        }
+
+    def open_examples(self, config: NetworkConfig, data_dir: Path, helpers: Helpers) -> Examples:
+        """Open the slides of all tasks that have any, each with its partner."""
+        parts = [part for part in self.list_parts() if cast(Recorded, part.paired).slide_folder]
+        stored = [RecordedSource(part).open_stored(data_dir) for part in parts]
+        images = config.modality == "images"
+        frames = [each.frame for each in stored]
+        shifts = [align_frames(frame, frames[0]) for frame in frames]
+        readers, targets, load_teachers = [], [], []
+        for part, each, shift in zip(parts, stored, shifts, strict=True):
+            own, part_helpers = each.make_targets(part.targets), helpers.select_part(part)
+            readers.append(RecordedSource(part).open_pairs(each, own, part_helpers, images))
+            targets.append(own)
+            load_teachers.append(partial(part_helpers.load_teacher, shift.shift))
+        reader = join_readers(readers, shifts, each.size)
+        return Examples(
+            reader,
+            join_targets(targets),
+            average_layouts(frames, shifts),
+            reader.length("train"),
+            slide_targets=make_move_targets(reader.rows("train")["move"]),
+            load_teachers=tuple(load_teachers),
+        )
+
+
+def join_readers(readers: Sequence[Reader], shifts: Sequence[FrameShift], size: int) -> Reader:
+    """Join readers of pairs: `stimulus` is the task, and pins are in the frame of the first."""
+
+    def load(split: str) -> Batch:
+        parts = []
+        for task, (reader, shift) in enumerate(zip(readers, shifts, strict=True)):
+            rows = dict(reader.rows(split))
+            for field in PIN_FIELDS:
+                rows[field] = (rows[field] + shift.shift).astype(np.float32)
+            rows["stimulus"] = np.full(len(rows["pose"]), task, np.int32)
+            unknown = np.full_like(rows["pose"], np.nan)
+            for other in range(len(readers)):
+                rows[name_pose_field(other)] = rows["pose"] if other == task else unknown
+            parts.append(rows)
+        fields = set.intersection(*(set(part) for part in parts)) - {"others"}
+        return {field: np.concatenate([part[field] for part in parts]) for field in fields}
+
+    return Reader(load, size)
+
+
+def name_pose_field(task: int) -> str:
+    """Name the field with the poses of one task, NaN in contacts of another."""
+    return f"pose_{task}"
+
+
+def join_targets(targets: Sequence[Targets]) -> Targets:
+    """Join the targets of all tasks; those of a task weigh as much as if they were alone."""
+    joined: list[Target] = []
+    counts = [sum(target.outputs for target in own) for own in targets]
+    for task, own in enumerate(targets):
+        share, field = sum(counts) / counts[task], name_pose_field(task)
+        joined += [replace(each, field=field, weight=share * each.weight) for each in own]
+    return tuple(joined)
+
+
+def average_layouts(frames: Sequence[Json], shifts: Sequence[FrameShift]) -> PinLayout:
+    """Average the rest positions of all tasks in the frame of the first."""
+    layouts = [read_pin_layout(frame) for frame in frames]
+    aligned = [each.rest + shift.shift for each, shift in zip(layouts, shifts, strict=True)]
+    return layouts[0]._replace(rest=np.stack(aligned).mean(axis=0).astype(np.float32))

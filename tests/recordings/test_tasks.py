@@ -1,0 +1,76 @@
+"""Test one network over recordings of two tasks, from `fit` to a pose."""
+
+import json
+import sys
+from pathlib import Path
+
+import made
+import numpy as np
+import pytest
+
+from jaxunshear import load_model
+from jaxunshear.cli import main
+from jaxunshear.data.recordings import read_image
+from tests.helpers.commands import succeed
+
+sys.path.insert(0, str(Path(__file__).parent))
+from conftest import SHORT
+
+TARGETS = {"edge": ["y_mm", "z_mm", "Rz_deg"], "surface": ["z_mm"]}
+
+
+@pytest.fixture(scope="module")
+def folders(recording, tmp_path_factory):
+    """An edge, and a surface of the same sensor whose camera has moved."""
+    surface = made.surface(tmp_path_factory.mktemp("recording") / "surface", 100, 100)
+    return recording, surface
+
+
+@pytest.fixture(scope="module")
+def run(folders, place):
+    words = ["fit", "--recordings", *folders, "--name", "joint_edge_surface", *SHORT[2:]]
+    words += ["--out", place / "runs", "--data", place / "datasets"]
+    assert main([str(word) for word in words]) == 0
+    return place / "runs" / "joint_edge_surface"
+
+
+def read_tests(run):
+    return json.loads((run / "results.json").read_text())["tests"]
+
+
+def test_each_task_has_a_row_of_each_network(run):
+    tests = read_tests(run)
+    assert list(tests) == list(TARGETS)
+    for name, targets in TARGETS.items():
+        kinds = tests[name]["pose_mae"]
+        assert set(kinds) == {"tap", "sheared", "sheared_learnt", "own", "others", "unsheared"}
+        assert all(list(errors) == targets for errors in kinds.values())
+
+
+def test_the_joint_network_unshears_what_a_network_of_the_other_task_does_not(run):
+    errors = read_tests(run)["edge"]["pose_mae"]
+    assert errors["unsheared"]["Rz_deg"] < 0.5 * errors["sheared"]["Rz_deg"]
+    assert errors["others"]["Rz_deg"] > errors["sheared"]["Rz_deg"]
+
+
+def test_the_folder_of_a_task_is_a_model(run, folders):
+    for name, folder in zip(TARGETS, folders, strict=True):
+        model = load_model(run / name)
+        file = folder / "shear" / "csv_train" / "images" / "image_1.png"
+        poses = model.pose(model.prepare(read_image(file))[None])
+        assert list(poses["unsheared"]) == TARGETS[name]
+        assert np.isfinite(list(poses["unsheared"].values())).all()
+
+
+def test_the_same_command_trains_nothing_twice(run, folders, place, command):
+    words = ["fit", "--recordings", *folders, "--name", run.name, *SHORT[2:]]
+    answer = succeed(command, *words, "--out", place / "runs", "--data", place / "datasets")
+    assert "images in" not in answer.out
+
+
+def test_recordings_are_scored_as_the_task_whose_labels_vary(run, place, tmp_path, command):
+    other = made.surface(tmp_path / "monday", 30, 30, seed=5)
+    words = ("--data", place / "datasets", "--json", tmp_path / "o.json")
+    succeed(command, "evaluate", run, "--recordings", other, *words)
+    rows = {row["name"] for row in json.loads((tmp_path / "o.json").read_text())["rows"]}
+    assert "pose_mae.unsheared.z_mm" in rows and "pose_mae.unsheared.y_mm" not in rows
