@@ -129,15 +129,16 @@ def _train(run: _TaskRun, name: str, tasks: list[Experiment]) -> Experiment:
 
 
 def _evaluate(run: _TaskRun, tasks: list[Experiment]) -> Results:
-    """Score the joint network, and networks of the other tasks, on each task with slides."""
+    """Make the model of each task; score networks of all and of the other tasks on its slides."""
     tested = [task for task in tasks if cast(Recorded, task.paired).slide_folder]
     joint = _train(run, JOINT, tasks)
-    for task in tested:
+    for task in tasks:
         run.run(task, ("evaluate", "report"), TRAINED)
         _assemble(run, task, joint, tested[0], "")
         others = [other for other in tested if other.name != task.name]
-        learnt = _train(run, f"without_{task.name}", others)
-        _assemble(run, task, learnt, others[0], OTHERS)
+        if task in tested and others:
+            learnt = _train(run, f"without_{task.name}", others)
+            _assemble(run, task, learnt, others[0], OTHERS)
     trained = run.folder / TRAINED / joint.name
     results = finish_results(_collect(run, tested), joint, trained, run.command)
     write_record(run.folder / "results.json", results)
@@ -157,11 +158,16 @@ def _assemble(
     shutil.copy2(own / FRAME, target / FRAME)
     digests = open_source(learnt).list_test_digests()
     others = tuple(sorted(digests - open_source(task).list_test_digests()))
-    experiment = replace(task, paired=replace(cast(Recorded, task.paired), others=others))
-    for name in list_trained_networks(experiment):
-        if name not in learnt.networks or name not in run.experiment.networks:
-            shutil.copytree(own / name, target / name, dirs_exist_ok=True)
-            continue
+    joined = run.experiment.networks
+    experiment = replace(
+        task,
+        networks=tuple(dict.fromkeys((*joined, *task.networks))),
+        paired=replace(cast(Recorded, task.paired), others=others),
+    )
+    for folder in own.iterdir():
+        if folder.name in TRAINABLE and folder.name not in joined:
+            shutil.copytree(folder, target / folder.name, dirs_exist_ok=True)
+    for name in joined:
         origin = open_source(experiment).describe_origin(resolve_network(experiment, name))
         changes = {"origin": origin, "data": list_training_digests(learnt, name, None)}
         source = run.folder / TRAINED / learnt.name / name
@@ -177,6 +183,8 @@ def _collect(run: _TaskRun, tasks: list[Experiment]) -> Results:
         pose_mae, intervals = {}, {}
         for place, kinds in ROWS.items():
             file = run.folder / place / task.name / "results.json"
+            if not file.exists():  # there is but one task with slides
+                continue
             scores = read_record(file, Results, EVALUATE_REMEDY)
             for row, kind in kinds.items():
                 if kind in scores.pose_mae:

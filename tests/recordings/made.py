@@ -127,5 +127,6 @@ def surface(folder: Path, taps: int = 60, slides: int = 60, seed: int = 0) -> Pa
     for name, count, slid in (("tap", taps, False), ("shear", slides, True)):
         pose, move = contacts(count, slid, seed + slid)
         pose[:, 1], pose[:, 5] = 3.0, 0.0
-        write(folder / name / "csv_train", pose, move)
+        if count:
+            write(folder / name / "csv_train", pose, move)
     return folder

@@ -21,9 +21,10 @@ TARGETS = {"edge": ["y_mm", "z_mm", "Rz_deg"], "surface": ["z_mm"]}
 
 @pytest.fixture(scope="module")
 def folders(recording, tmp_path_factory):
-    """An edge, and a surface of the same sensor whose camera has moved."""
-    surface = made.surface(tmp_path_factory.mktemp("recording") / "surface", 100, 100)
-    return recording, surface
+    """An edge; a surface; and taps alone on another one."""
+    folder = tmp_path_factory.mktemp("recording")
+    surface, lone = made.surface(folder / "surface", 100, 100), made.surface(folder / "lone", 60, 0)
+    return recording, surface, lone
 
 
 @pytest.fixture(scope="module")
@@ -54,11 +55,11 @@ def test_the_joint_network_unshears_what_a_network_of_the_other_task_does_not(ru
 
 
 def test_the_folder_of_a_task_is_a_model(run, folders):
-    for name, folder in zip(TARGETS, folders, strict=True):
+    for name, folder in zip((*TARGETS, "lone"), folders, strict=True):
         model = load_model(run / name)
-        file = folder / "shear" / "csv_train" / "images" / "image_1.png"
+        file = folder / "tap" / "csv_train" / "images" / "image_1.png"
         poses = model.pose(model.prepare(read_image(file))[None])
-        assert list(poses["unsheared"]) == TARGETS[name]
+        assert list(poses["unsheared"]) == TARGETS.get(name, ["z_mm"])
         assert np.isfinite(list(poses["unsheared"].values())).all()
 
 
