@@ -112,7 +112,10 @@ def set_tasks(experiment: Experiment, folders: Sequence[str]) -> Experiment:
     Raises UserError if they are of different sensors, or no folder holds slides.
     """
     parts = [set_recordings(experiment, folder, folder) for folder in folders]
-    for folder, part in zip(folders, parts, strict=True):
+    digests = [cast(Recorded, part.paired).digest for part in parts]
+    for number, (folder, part) in enumerate(zip(folders, parts, strict=True)):
+        if (first := digests.index(digests[number])) < number:
+            raise UserError(f"{folder} holds the recordings of {folders[first]}: name each once")
         if part.sensor != parts[0].sensor:
             raise UserError(
                 f"{folder} is of a sensor of {part.sensor.pins} pins and {folders[0]} of one of "
