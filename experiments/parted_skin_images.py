@@ -13,6 +13,7 @@ Expected: the figures are still to be measured; 10 to 20 minutes per row on a co
 
 from dataclasses import replace
 
+from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
 
@@ -31,7 +32,7 @@ ROWS = {
 sweep = Sweep(
     name="parted_skin_images",
     claim="Codes over images of a real sensor are disentangled.",
-    base=replace(BASE_EXPERIMENT, name="parted_skin_images"),
+    base=replace(BASE_EXPERIMENT, name="parted_skin_images", train_pins=PIN_TRAINING),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),
     networks=("disentangled", "posenet"),

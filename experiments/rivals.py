@@ -37,6 +37,7 @@ seeds took two hours on a core of an AMD EPYC, beside other work.
 
 from dataclasses import replace
 
+from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.config.networks import PinNet
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
@@ -60,6 +61,7 @@ sweep = Sweep(
         name="rivals",
         unshear=replace(BASE_EXPERIMENT.unshear, input="pins"),
         pins=PinNet(),
+        train_pins=PIN_TRAINING,
     ),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),

@@ -23,6 +23,7 @@ chance.
 
 from dataclasses import replace
 
+from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.config.networks import POSENET_SHEARED
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
@@ -43,7 +44,7 @@ ROWS = {
 sweep = Sweep(
     name="rivals_images",
     claim="What lets a PoseNet that learns slides directly err less, over images.",
-    base=replace(BASE_EXPERIMENT, name="rivals_images"),
+    base=replace(BASE_EXPERIMENT, name="rivals_images", train_pins=PIN_TRAINING),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),
     networks=(POSENET_SHEARED,),
