@@ -212,6 +212,26 @@ def scale(factor: float) -> Callable[[np.ndarray], np.ndarray]:
     return change
 
 
+def hide(grey: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Make a frame of nearly one grey, in whose noise pins cannot be seen."""
+
+    def change(image: np.ndarray) -> np.ndarray:
+        noise = np.random.default_rng(int(image.sum())).normal(0, 4, image.shape)
+        return np.clip(grey + scale(0.05)(image) + noise, 0, 255).astype(np.uint8)
+
+    return change
+
+
+def dim(contrast: float, light: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Make a frame of usual light, and take contrast from it towards a grey `light`."""
+
+    def change(image: np.ndarray) -> np.ndarray:
+        usual = scale(0.7)(image).astype(float)
+        return np.round(contrast * usual + (1 - contrast) * light).astype(np.uint8)
+
+    return change
+
+
 def blur(image: np.ndarray) -> np.ndarray:
     soft = ndimage.gaussian_filter(image.astype(float), 5)
     return (200 * soft / soft.max() + 30).astype(np.uint8)
@@ -307,14 +327,20 @@ CASES = [
     ),
     Case("lost pins", "networks", "filled from their neighbours", fills_lost),
     Case("a pin behind the housing", "networks", "not filled", keeps_hidden),
-    Case("dark frames", "doctor", "too dark", says("too dark", scale(0.12))),
-    Case("dark frames", "unshear", "error: too dark", is_named("too dark", scale(0.12))),
+    *(
+        Case(f"{share} of the contrast, {kind}", "doctor", "a command", is_advised(change, "pins"))
+        for share, contrast in (("half", 1 / 2), ("a third", 1 / 3), ("a fifth", 1 / 5))
+        for kind, change in (("dark", dim(contrast, 0)), ("light", dim(contrast, 255)))
+    ),
+    Case("dark frames", "doctor", "too dark", says("too dark", hide(0))),
+    Case("grey frames", "doctor", "too little contrast", says("too little contrast", hide(200))),
+    Case("dark frames", "unshear", "error: too dark", is_named("too dark", hide(0))),
     Case("blurred frames", "unshear", "error: blurred", is_named("blurred", blur)),
     Case(
         "dark frames",
         "pins",
         "exit code 2, one reason",
-        ends_with_2(message="too dark", change=scale(0.12)),
+        ends_with_2(message="too dark", change=hide(0)),
     ),
     Case("overexposed frames", "doctor", "overexposed", says("overexposed", scale(9.0))),
     Case("blurred frames", "doctor", "blurred", says("blurred", blur)),
