@@ -13,9 +13,11 @@ from scipy import ndimage
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Preprocess, Sensor
 from jaxunshear.data.recorded_pins import Pins, find_pins
 from jaxunshear.data.recordings import read_recordings
-from jaxunshear.data.sensor_frame import find_recordings_frame
+from jaxunshear.data.sensor_frame import find_recordings_frame, read_frames
 from jaxunshear.doctor import check_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.inference.adaptation import adapt_to_dome
+from jaxunshear.inference.trained_model import load_model
 from jaxunshear.perception.grey import explain_exposure
 from jaxunshear.perception.lattice import Lattice, compute_rings, make_lattice
 from jaxunshear.perception.lattice_fitting import make_layout
@@ -278,6 +280,20 @@ def explains_nothing(place: Place) -> None:
     assert explain_exposure(draw_worn() / np.float32(255)) == ""
 
 
+def leaves_out_of_model(place: Place) -> None:
+    """Networks over pins miss a pin that is named, and learn the rest of the untouched dome."""
+    folder = place.folder / "frames"
+    folder.mkdir()
+    for number in range(20):
+        Image.fromarray(draw_worn(number=number)).save(folder / f"image_{number}.png")
+    model = load_model("skin", like=folder)
+    adapt_to_dome(model, folder, (INNER,))
+    pins = model.reader.read(read_frames(folder, model.preprocess, model.view)).pins
+    assert np.isnan(pins[:, INNER]).all() and np.isfinite(np.delete(pins, INNER, axis=1)).all()
+    learnt, before = model.touch_reader.gauge.lattice.rest, model.frame.rest
+    np.testing.assert_allclose(np.delete(learnt - before, INNER, axis=0), 0, atol=0.6)
+
+
 def refuses_number(place: Place) -> None:
     with pytest.raises(UserError, match="--without 331: pins have numbers from 0 to 330"):
         find(place, without=(331,))
@@ -325,6 +341,7 @@ CASES = [
         "exit code 2, one line",
         ends_with_2("--without", "400", message="--without 400: pins have numbers"),
     ),
+    Case("a pin named as lost", "networks over pins", "it is missing", leaves_out_of_model),
     Case("lost pins", "networks", "filled from their neighbours", fills_lost),
     Case("a pin behind the housing", "networks", "not filled", keeps_hidden),
     *(
