@@ -6,9 +6,10 @@ print("\n".join(describe(diagnosis)))
 
 import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from jaxunshear.data.tables import LabelProblem
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.grey import check_frame, explain_exposure, to_grey
+from jaxunshear.perception.lattice import check_pin_numbers
 from jaxunshear.perception.lattice_fitting import fit_lattice, make_layout
 from jaxunshear.perception.pin_detection import detect_pins
 from jaxunshear.perception.pin_tracking import track_all
@@ -96,11 +98,13 @@ class Diagnosis:
     note: str  # advice on that command, or what to do first
 
 
-def check_recordings(path: Path) -> Diagnosis:
+def check_recordings(path: Path, without: Sequence[int] = ()) -> Diagnosis:
     """Read every frame at `path` and detect the pins in about INSPECTED_IMAGES of them.
 
-    Raises UserError if no frame can be used.
+    Pins in `without` are lost, or else those that no frame shows. Raises UserError if no frame can
+    be used.
     """
+    check_pin_numbers(without, max(sensor.pins for sensor in LAYOUTS))
     recordings = read_recordings(path, Preprocess())
     problems = [
         note if isinstance(note, LabelProblem) else LabelProblem.from_line(path, note)
@@ -110,9 +114,10 @@ def check_recordings(path: Path) -> Diagnosis:
     for row, file in enumerate(recordings.files):
         rows.setdefault(file.parent, []).append(row)
     share = max(MIN_INSPECTED_PER_FOLDER, INSPECTED_IMAGES // len(rows))
+    check_pins = partial(_check_pins, share, without)
     with Progress(f"doctor {path.name}", len(recordings)) as progress:
         folders = [
-            _check_folder(recordings, folder_rows, share, problems, progress)
+            _check_folder(recordings, folder_rows, check_pins, problems, progress)
             for folder_rows in rows.values()
         ]
     if not any(folder.usable for folder in folders):
@@ -127,7 +132,7 @@ def check_recordings(path: Path) -> Diagnosis:
 def _check_folder(
     recordings: Recordings,
     rows: list[int],
-    share: int,
+    check_pins: Callable[[list[Path]], PinCheck | None],
     problems: list[LabelProblem],
     progress: Progress,
 ) -> FolderCheck:
@@ -159,7 +164,7 @@ def _check_folder(
         len(rows),
         {reason: count for reason, count in left_out.items() if count},
         usual,
-        _check_pins([usable[i] for i in select_evenly(len(usable), share)]),
+        check_pins(usable),
         _check_labels(recordings, rows),
     )
 
@@ -184,21 +189,21 @@ def _check_labels(recordings: Recordings, rows: list[int]) -> LabelCheck:
     return LabelCheck(int(has_pose.sum()), taps, slides, ranges)
 
 
-def _check_pins(files: list[Path]) -> PinCheck | None:
-    """Detect the pins of frames of one size, or of their negatives if only these fit."""
-    raws = [read_image(file) for file in files]
+def _check_pins(share: int, without: Sequence[int], files: list[Path]) -> PinCheck | None:
+    """Detect the pins of `share` frames of one size, or of their negatives if only these fit."""
+    raws = [read_image(files[i]) for i in select_evenly(len(files), share)]
     if not raws:
         return None
-    check = _track_pins(raws)
+    check = _track_pins(raws, without)
     if check.followed >= MIN_FOLLOWED:
         return check
-    negative = _track_pins([1 - to_grey(raw) for raw in raws], inverted=True)
+    negative = _track_pins([1 - to_grey(raw) for raw in raws], without, inverted=True)
     if negative.followed > check.followed:
         return negative
     return replace(check, exposure=explain_exposure(to_grey(raws[len(raws) // 2])))
 
 
-def _track_pins(raws: list[np.ndarray], inverted: bool = False) -> PinCheck:
+def _track_pins(raws: list[np.ndarray], without: Sequence[int], inverted: bool = False) -> PinCheck:
     preprocess = Preprocess(size=int(np.clip(min(raws[0].shape[:2]), MIN_PX, LARGEST_PX)))
     view = combine_views([find_view(preprocess, raw) for raw in raws])
     detections = [detect_pins(prepare_frame(preprocess, raw, view)) for raw in raws]
@@ -206,7 +211,7 @@ def _track_pins(raws: list[np.ndarray], inverted: bool = False) -> PinCheck:
     layout, followed = None, 0.0
     for sensor in LAYOUTS:
         with suppress(UserError):  # too few pins, or in another pattern
-            lattice = fit_lattice([each.pins for each in detections], make_layout(sensor))
+            lattice = fit_lattice([each.pins for each in detections], make_layout(sensor), without)
             tracks = track_all(lattice, detections)
             followed = float(np.mean([track.identified for track in tracks]))
             layout = sensor.name

@@ -35,10 +35,10 @@ def make_parser() -> Parser:
     )
     commands = add_commands(parser)
     parsers = {name: new_parser(commands, name, text) for name, text in COMMANDS.items()}
+    text = "only those whose name contains one of these"
     for each in parsers.values():
         add_json(each, ROWS)
-    text = "only the cases whose name contains this"
-    parsers["stability"].add_argument("--only", metavar="NAME", help=text)
+        each.add_argument("--only", metavar="NAME", nargs="+", default=(), help=text)
     return parser
 
 
@@ -47,12 +47,10 @@ def _run(arguments: argparse.Namespace, keep: Keep) -> int:
 
 
 def _verify(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.progress import Progress
     from verification import verify
     from verification.verification_rows import convert_row, format_rows
 
-    with Progress("verify", len(verify.CHECKS), unit="checks") as progress:
-        rows = verify.run_verification(progress)
+    rows = verify.run_verification(arguments.only)
     print(format_rows(rows))
     keep([convert_row(row) for row in rows])
     missed = [row.problem for row in rows if not row.holds]

@@ -8,8 +8,6 @@ converge), and twice more, in float32 and in float64, to a tolerance so small th
 stops is no part of the difference. Networks are judged in `stability_networks.py`.
 """
 
-import difflib
-import re
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -29,6 +27,7 @@ from verification.contact_cases import list_cases
 from verification.network_trainings import list_training_cases
 from verification.network_values import list_value_cases
 from verification.pin_distance import PinError, compute_pin_error
+from verification.selection import select_names
 from verification.stability_networks import NetworkCase, NetworkRow
 
 PRECISION_PX = 0.05  # by which float32 and float64, or two ways to the same contact, may differ
@@ -71,33 +70,22 @@ AnyRow = StabilityRow | NetworkRow
 
 
 def run_stability(
-    only: str | None = None, cases: Sequence[AnyCase] | None = None
+    only: Sequence[str] = (), cases: Sequence[AnyCase] | None = None
 ) -> Sequence[AnyRow]:
-    """Run all cases, or those whose name contains `only`.
+    """Run all cases, or those whose name contains one of the words `only`.
 
-    Raises `UserError` if there is none.
+    Raises `UserError` for a word that no name contains.
     """
     if cases is None:
         cases = [*list_cases(), *list_training_cases(), *list_value_cases()]
-    selected = [case for case in cases if only is None or only in case.name]
-    if not selected:
-        words = ", ".join(_find_similar_words(only, cases))
-        raise UserError(f"--only '{only}': no case's name contains this; some do {words}")
+    selected = set(select_names([case.name for case in cases], only))
     rows = []
     with Progress("stability", len(selected), unit="cases") as progress:
-        for case in selected:
-            rows.append(examine_case(case))
-            progress.advance(1)
+        for case in cases:
+            if case.name in selected:
+                rows.append(examine_case(case))
+                progress.advance(1)
     return rows
-
-
-def _find_similar_words(word: str | None, cases: Sequence[AnyCase]) -> list[str]:
-    """Find words of the cases' names: those spelt like `word`, or the most frequent."""
-    words: Counter[str] = Counter()
-    for case in cases:
-        words.update(set(re.findall(r"[A-Za-z]\w{3,}", case.name)))
-    similar = difflib.get_close_matches(word or "", words, n=5)
-    return similar or [name for name, _ in words.most_common(8)]
 
 
 def select_failed(rows: Sequence[AnyRow]) -> Sequence[AnyRow]:

@@ -43,9 +43,10 @@ NO_PICTURE = "gives no picture: busy, or no camera"
 def stream(arguments: argparse.Namespace, command: str) -> int:
     if arguments.source == CAMERA_LIST:
         return _list_cameras()
+    from jaxunshear.apps.robot.frame_sources import check_source
     from jaxunshear.data.videos import is_video
 
-    _make_camera_settings(arguments).check()  # before a model is loaded
+    check_source(arguments.source, _make_camera_settings(arguments))  # before a model is loaded
     source, images = Path(arguments.source), arguments.images
     if images == INLINE:
         images = None
@@ -64,8 +65,10 @@ def stream(arguments: argparse.Namespace, command: str) -> int:
 def _stream(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> StreamResult:
     from jaxunshear.apps.robot.frame_sources import make_label_reader, open_source
     from jaxunshear.apps.robot.stream import Outputs, stream
+    from jaxunshear.inference.adaptation import adapt_to_dome
 
     settings = _make_camera_settings(arguments)
+    adapt_to_dome(model, arguments.untouched, arguments.without)
     model.with_sheared_poses = False
     model.compile(1)
     source = open_source(arguments.source, model.preprocess, settings)

@@ -35,6 +35,7 @@ from jaxunshear.config.sweep import (
     override_base,
     parse_seeds,
 )
+from jaxunshear.cost import check_cost
 from jaxunshear.errors import UserError
 from jaxunshear.output_checks import check_new_folder, check_outside
 
@@ -63,6 +64,7 @@ def handle_stages(arguments: argparse.Namespace, command: str) -> int:
             return _score_recordings(experiment, arguments, command)
     else:
         experiment = _apply_recordings(read_base(arguments, arguments.fields), arguments)
+        check_cost(experiment, arguments.data)
         validate(experiment)
     networks = list_trained_networks(experiment)
     network = getattr(arguments, "network", None)
@@ -204,6 +206,7 @@ def sweep(arguments: argparse.Namespace, command: str) -> int:
     sweep = replace(sweep, base=_apply_recordings(sweep.base, arguments))
     if arguments.seeds is not None:
         sweep = replace(sweep, seeds=parse_seeds(arguments.seeds))
+    check_cost(get_base(sweep), arguments.data)
     check_sweep(sweep, str(arguments.file))
 
     from jaxunshear.cluster import make_ray_runner, run_locally

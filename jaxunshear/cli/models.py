@@ -7,7 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from jaxunshear.cli.program import ROWS, Command, Option, flag, integer, json_file, option, path
+from jaxunshear.cli.program import (
+    ROWS,
+    WITHOUT,
+    Command,
+    Option,
+    flag,
+    integer,
+    json_file,
+    option,
+    path,
+)
 from jaxunshear.config.outlines import parse_stimulus
 from jaxunshear.config.sensor import Preprocess, get_sensor
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
@@ -35,7 +45,8 @@ OBJECT_COLUMNS = (
 def infer(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.inference.infer import predict_recordings, unshear_recordings
 
-    name, shared = arguments.command, {"force": arguments.force, "like": arguments.like}
+    name = arguments.command
+    shared = {key: getattr(arguments, key) for key in ("force", "like", "untouched", "without")}
     if name == "unshear":
         measured = unshear_recordings(arguments.path, arguments.model, arguments.out, **shared)
     else:
@@ -234,13 +245,6 @@ def choose_exit_code(used: float, left_out: float) -> int:
     return int(left_out >= used)
 
 
-def _parse_pins(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(map(int, text.split(",")))
-    except ValueError:
-        raise UserError(f"--without {text}: give numbers of pins, such as 12,40") from None
-
-
 def _name_model(default: str, name: str = "--model", **settings: str) -> Option:
     text = f"a finished run (runs/demo), or released weights by name ({default})"
     return path(name, "RUN" if name == "model" else "DIR", text, default=Path(default), **settings)
@@ -256,6 +260,13 @@ LIKE = path(
 CAMERA_MODEL = (  # trained for recordings, and what it needs to read them
     _name_model("skin"),
     LIKE,
+    path(
+        "--untouched",
+        "PATH",
+        "frames of the untouched dome, in a folder or a video, from which contact and shear are "
+        "measured (default: the mean over contacts)",
+    ),
+    WITHOUT,
     flag("--force", "answer images that are not of the model's sensor, too"),
 )
 STIMULUS = option(
@@ -306,13 +317,7 @@ COMMANDS = (
         ],
         path("--rest", "IMAGES", "of the untouched sensor (default: the images' mean)"),
         option("--size", "PX", "of the prepared images (theirs, at most 256)", type=int),
-        option(
-            "--without",
-            "PIN,PIN",
-            "pins that are lost, by their rows in pins.npz (default: those that no image shows)",
-            type=_parse_pins,
-            default=(),
-        ),
+        WITHOUT,
     ),
     _make_command(
         geometry,

@@ -87,6 +87,20 @@ def json_file(content: str = "what was measured, with machine and versions") -> 
     return path("--json", "FILE", f"write {content}")
 
 
+def _parse_pins(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(map(int, text.split(",")))
+    except ValueError:
+        raise UserError(f"--without {text}: give numbers of pins, such as 12,40") from None
+
+
+WITHOUT = option(
+    "--without",
+    "PIN,PIN",
+    "pins that are lost, by their rows in pins.npz (default: those that no image shows)",
+    type=_parse_pins,
+    default=(),
+)
 DATA = path(
     "--data", "DIR", "folder of the data sets (default: datasets)", default=Path("datasets")
 )

@@ -6,6 +6,7 @@ from pathlib import Path
 from jaxunshear.cli.program import (
     DATA,
     ROWS,
+    WITHOUT,
     Command,
     flag,
     integer,
@@ -25,7 +26,7 @@ def doctor(arguments: argparse.Namespace, command: str) -> int:
     """Run the command; return 0, or 1 if no command can use the frames."""
     from jaxunshear.doctor import check_recordings, describe
 
-    diagnosis = check_recordings(arguments.path)
+    diagnosis = check_recordings(arguments.path, arguments.without)
     print("\n".join(describe(diagnosis)))
     write_measurement(arguments.json, command, to_builtins(diagnosis))
     return 0 if diagnosis.usable else 1
@@ -137,6 +138,7 @@ COMMANDS = (
         doctor,
         (
             path("path", "PATH", "a folder of recordings, one above several, or an image"),
+            WITHOUT,
             json_file("what was found, with command, machine and versions"),
         ),
     ),

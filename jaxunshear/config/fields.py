@@ -140,6 +140,11 @@ def _suggest_field(name: str, kinds: list[str]) -> str:
             ": a configuration is chosen by the experiment's file; "
             "run another one, or change its fields"
         )
+    if name == "without":
+        return (
+            ": a training leaves out the pins that no frame shows; "
+            "`doctor`, `pins`, `pose`, `unshear` and `stream` take the numbers of lost pins"
+        )
     inside = [f"--{kind}" for kind in kinds if kind.startswith(name + ".")]
     if inside:
         more = ", ..." if len(inside) > 4 else ""

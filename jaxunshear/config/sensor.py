@@ -256,7 +256,8 @@ class Preprocess:
 
     size: Pixels = 128  # output pixels, square
     block: Share = 0.15  # side of the local mean's window, as a fraction of `size` (made odd)
-    # a pixel is white if it exceeds the local mean by this fraction of full scale
+    # a pixel is white if it exceeds the local mean by this fraction of full scale, which shrinks
+    # with the contrast of dim frames
     offset: Offset = 0.08
     mask_radius: Share = 0.48  # radius of the circular mask, as a fraction of `size`
     # automatic crop: distance of the outermost pins from the centre over `size`, as in `Camera`

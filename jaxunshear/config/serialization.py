@@ -151,8 +151,12 @@ class Preset:
 def read_preset(file: Path) -> Preset:
     """Read the field `preset` of a calibration.json. Raises UserError."""
     remedy = "name a calibration.json of `jaxunshear calibrate`"
+    if file.is_dir():
+        raise UserError(f"--sensor-from {file} is a folder: {remedy}")
     if not file.is_file():
-        raise UserError(f"--sensor-from {file} is no file: {remedy}")
+        raise UserError(f"--sensor-from {file} does not exist: {remedy}")
+    if file.suffix == ".py":
+        raise UserError(f"--sensor-from {file} is an experiment, which fits no sensor: {remedy}")
     stored = read_json(file)
     if not isinstance(stored, dict) or "preset" not in stored:
         raise UserError(f"--sensor-from {file} holds no preset: {remedy}")

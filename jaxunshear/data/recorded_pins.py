@@ -16,7 +16,7 @@ from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import Recordings, read_first_image, read_recordings
 from jaxunshear.data.sensor_frame import LARGEST_PX, explain_failure
 from jaxunshear.errors import UserError
-from jaxunshear.perception.lattice import Lattice, make_lattice
+from jaxunshear.perception.lattice import Lattice, check_pin_numbers, make_lattice
 from jaxunshear.perception.lattice_fitting import MarkerLayout, fit_lattice
 from jaxunshear.perception.pin_detection import DetectedPins, detect_pins
 from jaxunshear.perception.pin_track import PinTrack
@@ -110,10 +110,7 @@ def _check_request(path: object, lattice: Lattice | MarkerLayout, without: Seque
             f"find_pins takes the path of an image or a folder, not {type(path).__name__}: "
             "for an image in memory use `detect_pin_centres` of jaxunshear.perception.pin_detection"
         )
-    last = len(lattice.flat if isinstance(lattice, MarkerLayout) else lattice.rest) - 1
-    if without and not 0 <= min(without) <= max(without) <= last:
-        numbers = ",".join(map(str, without))
-        raise UserError(f"--without {numbers}: pins have numbers from 0 to {last}")
+    check_pin_numbers(without, len(lattice.ring))
 
 
 def _fit_rest(

@@ -18,7 +18,13 @@ from jaxunshear.config.data import Recorded
 from jaxunshear.config.sensor import SENSORS, Preprocess, Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.recorded_contacts import RecordedContacts
-from jaxunshear.data.recordings import Recordings, find_common_view, read_first_image, read_image
+from jaxunshear.data.recordings import (
+    Recordings,
+    find_common_view,
+    read_first_image,
+    read_image,
+    read_recordings,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.selection import select_evenly
@@ -207,6 +213,17 @@ def find_recordings_frame(
         with suppress(UserError):  # dark pins in white
             return _fit_sensor_frame(files, view, size, preprocess, sensor, inverted=True)
         raise
+
+
+def read_frames(path: Path, preprocess: Preprocess, view: "View | None") -> np.ndarray:
+    """Read up to LATTICE_FRAMES frames as binary images (N, S, S), evenly spaced.
+
+    Raises UserError if there are none.
+    """
+    recordings = read_recordings(path, preprocess)
+    rows = select_evenly(len(recordings), LATTICE_FRAMES)
+    some = replace(recordings, files=tuple(recordings.files[row] for row in rows))
+    return np.stack([frame.image for frame in some.iterate_frames(view)])
 
 
 def _fit_sensor_frame(

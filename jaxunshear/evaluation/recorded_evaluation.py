@@ -250,10 +250,12 @@ def _select_understood(
         return rows[np.all(identified, axis=0)]
     if test.appearance is None or not len(rows):
         return rows
-    field = sources[modality.sheared]
-    images = reader.take(split, rows, (field,))[field][..., 0]
-    judged = judge_batch(images, np.ones(len(images), bool), test.appearance, force=False)
-    return rows[judged.rejection == ""]
+    field, accepted = sources[modality.sheared], []
+    for start in range(0, len(rows), BATCH):
+        images = reader.take(split, rows[start : start + BATCH], (field,))[field][..., 0]
+        judged = judge_batch(images, np.ones(len(images), bool), test.appearance, force=False)
+        accepted.append(judged.rejection == "")
+    return rows[np.concatenate(accepted)]
 
 
 def _score_rows(

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain, islice
 from itertools import count as count_from
@@ -21,6 +21,7 @@ from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS, get_unit
 from jaxunshear.data.recordings import RecordedFrame, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, format_csv, write_bytes, write_text
+from jaxunshear.inference.adaptation import adapt_to_dome
 from jaxunshear.inference.forward import BATCH, UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel, load_model
 from jaxunshear.metrics.errors import compute_pose_errors
@@ -53,7 +54,13 @@ class _Result(NamedTuple):
 
 
 def unshear_recordings(
-    path: Path, model_name: Path, out: Path, force: bool = False, like: Path | None = None
+    path: Path,
+    model_name: Path,
+    out: Path,
+    force: bool = False,
+    like: Path | None = None,
+    untouched: Path | None = None,
+    without: Sequence[int] = (),
 ) -> Measured:
     """Unshear every image at `path`; write PNGs, `poses.csv` and `NOTE.txt` to `out`.
 
@@ -68,10 +75,13 @@ def unshear_recordings(
         force: Use images that are not of the model's sensor.
         like: A folder of contacts of the same sensor and camera, if `path` holds too few to
             estimate the rest positions.
+        untouched: Frames of the untouched dome, from which touch is measured.
+        without: Pins that are lost.
     """
     _check_exists(path)
     check_not_among(path, out, "--out")
     model = load_model(model_name, like or path)
+    adapt_to_dome(model, untouched, without)
     # of the images as they are only errors against labels are reported, which others cannot have
     model.with_sheared_poses = model.source.predicts_directly
     run = _FolderRun(path, model, force)
@@ -111,7 +121,12 @@ def unshear_recordings(
 
 
 def predict_recordings(
-    path: Path, model_name: Path, force: bool = False, like: Path | None = None
+    path: Path,
+    model_name: Path,
+    force: bool = False,
+    like: Path | None = None,
+    untouched: Path | None = None,
+    without: Sequence[int] = (),
 ) -> Measured:
     """Print the predicted poses of every image at `path`, as recorded and unsheared.
 
@@ -120,6 +135,7 @@ def predict_recordings(
     """
     _check_exists(path)
     model = load_model(model_name, like or path)
+    adapt_to_dome(model, untouched, without)
     if not model.targets:
         raise UserError(
             f"{model.folder / 'posenet'} holds no trained model (no checkpoints): "

@@ -9,11 +9,11 @@ LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601, as cameras m
 MIN_SIDE_PX = 16
 ONE_BYTE = np.uint8(1)  # added to a byte, it makes 255 and 0 the only two values below 2
 CAMERA_WHITES = (255, 1023, 4095, 16383, 65535)  # of 8, 10, 12, 14 and 16 bits
-MIN_BINARY_SPAN = 0.25
 BINARY_TOLERANCE = 0.1  # share of the span within which a pixel has one of the two levels
 MIN_BINARY_SHARE = 0.97  # share of such pixels: compression leaves a few greys
 MIN_CONTRAST = 0.05
-DARK_GREY = 0.35  # below which the brightest hundredth of a frame is too dark for its threshold
+LOW_CONTRAST = 0.12  # between dark and bright pixels, below which noise hides pins
+DARK_GREY = 0.35  # below which a frame of low contrast needs more light
 SATURATED_GREY = 0.98
 MAX_SATURATED_SHARE = 0.35  # of the pixels: pins and housing take a quarter
 SHARP_SIDE_PX = 256  # to which a frame is reduced before its sharpness is measured
@@ -95,7 +95,7 @@ def is_binary(grey: Shaped[np.ndarray, "H W"]) -> bool:
     if grey.dtype == bool:
         return True
     low, high = np.min(grey), np.max(grey)
-    if high - low < MIN_BINARY_SPAN:
+    if high - low < MIN_CONTRAST:
         return False
     tolerance = BINARY_TOLERANCE * (high - low)
     return float(np.mean((grey - low < tolerance) | (high - grey < tolerance))) > MIN_BINARY_SHARE
@@ -113,14 +113,15 @@ def check_contrast(grey: Float[np.ndarray, "H W"]) -> None:
 
 
 def explain_exposure(grey: Float[np.ndarray, "H W"]) -> str:
-    """Say whether a frame is too dark, overexposed or blurred, and what to do; else nothing."""
-    low, high = np.percentile(grey, (5, 99))
-    if high < DARK_GREY:
-        return (
-            f"the frames are too dark (grey {255 * high:.0f} of 255): expose longer, or light more"
-        )
+    """Say what is wrong with a frame's light or focus, and what to do; nothing if nothing is."""
     if np.mean(grey > SATURATED_GREY) > MAX_SATURATED_SHARE:
         return "the frames are overexposed: expose for a shorter time"
+    low, high = np.percentile(grey, (5, 99))
+    if high - low < LOW_CONTRAST:
+        shown = f"grey {255 * low:.0f} to {255 * high:.0f} of 255"
+        if high < DARK_GREY:
+            return f"the frames are too dark ({shown}): expose longer, or light more"
+        return f"the frames have too little contrast ({shown}): light the pins, not what is around"
     if is_binary(grey):
         return ""
     step = max(1, min(grey.shape) // SHARP_SIDE_PX)

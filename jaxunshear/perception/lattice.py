@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from jaxunshear.config.sensor import Sensor
+from jaxunshear.errors import UserError
 
 NEIGHBOURS = 18  # pins that predict the position of another one
 POLYNOMIAL_DEGREES = (2, 3, 4)  # of the polynomials that refine a motion, in turn
@@ -110,6 +111,13 @@ def find_rim(ring: np.ndarray) -> np.ndarray:
     """Find which pins (P,) are in the outermost rings, which contacts move least."""
     is_rim: np.ndarray = ring > ring.max() - RIM_RINGS
     return is_rim
+
+
+def check_pin_numbers(without: Sequence[int], count: int) -> None:
+    """Raise UserError if a number is of none of `count` pins."""
+    if without and not 0 <= min(without) <= max(without) < count:
+        numbers = ",".join(map(str, without))
+        raise UserError(f"--without {numbers}: pins have numbers from 0 to {count - 1}")
 
 
 def measure_spacing(rest: Float[np.ndarray, "P 2"]) -> float:

@@ -13,7 +13,13 @@ from jaxunshear.angles import rotation_2d
 from jaxunshear.config.sensor import Camera, Preprocess, Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_points
-from jaxunshear.perception.lattice import Lattice, compute_rings, estimate_rings, make_lattice
+from jaxunshear.perception.lattice import (
+    Lattice,
+    check_pin_numbers,
+    compute_rings,
+    estimate_rings,
+    make_lattice,
+)
 from jaxunshear.perception.pin_detection import DetectedPins, find_hull
 from jaxunshear.perception.pin_track import PinTrack
 from jaxunshear.perception.pin_tracking import track_all
@@ -77,6 +83,7 @@ def fit_lattice(
     are lost, and those named by `without`. Raises UserError if these do not appear to be pins of
     this layout.
     """
+    check_pin_numbers(without, len(layout.flat))
     full = [pins for pins in frames if len(pins) >= MIN_PIN_SHARE * len(layout.flat)]
     if not full:
         most = max((len(pins) for pins in frames), default=0)

@@ -36,6 +36,9 @@ from jaxunshear.perception.grey import (
 )
 from jaxunshear.perception.pin_detection import find_clusters, find_hull
 
+# Least rms difference of grey from the mean around it that simulated sensors show, soft or worn.
+USUAL_CONTRAST = 0.14
+MIN_THRESHOLD_SCALE = 0.125  # below which noise and steps of grey would pass a threshold
 # Radius of the outermost pins over that of the dark disc, measured: 172 and 210 px.
 OUTER_PINS_OF_DISC = 0.82
 MAX_ASPECT_ERROR = 0.02  # of width over height, within which frames show the same part of a scene
@@ -69,8 +72,19 @@ def _binarise(
     small = _both_sides(matmul, make_area_matrix(grey.shape[-1], preprocess.size), grey)
     mean = _both_sides(matmul, make_mean_matrix(preprocess), small)
     mask = make_mask(preprocess)
-    white = (small > mean + preprocess.offset) & mask.reshape((1,) * (grey.ndim - 2) + mask.shape)
+    mask = mask.reshape((1,) * (grey.ndim - 2) + mask.shape)
+    offset = preprocess.offset * _scale_threshold(small - mean, mask)
+    white = (small > mean + offset) & mask
     return white.astype(np.uint8) * np.uint8(255)
+
+
+def _scale_threshold(difference: Grey, where: np.ndarray | bool) -> Grey:
+    """Compute the factor (..., 1, 1) of a threshold: 1 in usual light, less at lower contrast.
+
+    The contrast is the rms difference (..., H, W) of the grey from the mean around it, `where`.
+    """
+    contrast = (difference**2).mean((-2, -1), keepdims=True, where=where) ** 0.5
+    return (contrast / USUAL_CONTRAST).clip(MIN_THRESHOLD_SCALE, 1)
 
 
 def _jax_matmul(a: Array, b: ArrayLike) -> Array:
@@ -227,7 +241,8 @@ def find_dome(grey: Float[np.ndarray, "H W"], outer_pins: float) -> Box:
     if disc is not None and _is_plausible(disc, grey, DISC_RADIUS_RANGE, MAX_DISC_ERROR):
         return _make_box(disc.row, disc.column, disc.radius * OUTER_PINS_OF_DISC / outer_pins)
     window = 2 * (min(grey.shape) // 14) + 1
-    pins = _find_pin_circle(grey > ndimage.uniform_filter(grey, window) + 0.1)
+    difference = grey - ndimage.uniform_filter(grey, window)
+    pins = _find_pin_circle(difference > 0.1 * _scale_threshold(difference, where=True))
     if pins is None:
         return _make_middle_box(grey.shape)
     return _make_box(pins.row, pins.column, pins.radius / outer_pins)

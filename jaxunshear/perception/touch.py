@@ -134,7 +134,7 @@ def make_recorded_gauge(lattice: Lattice, sensor: Sensor) -> TouchGauge:
     scale[0] = 1  # of the pin in the middle
     offset = lattice.rest - lattice.centre
     rest = lattice.centre + scale[lattice.ring, None] * offset
-    return make_touch_gauge(make_lattice(rest, lattice.ring), sensor)
+    return make_touch_gauge(make_lattice(rest, lattice.ring, lattice.lost), sensor)
 
 
 def _measure_ring_radii(lattice: Lattice) -> np.ndarray:

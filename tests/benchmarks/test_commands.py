@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
         ("benchmarks", "stream --batch 8", "unrecognized arguments: --batch 8"),
         ("benchmarks", "train --out .", "unrecognized arguments: --out ."),
         ("benchmarks", "sim --out setup.cfg/a", "is a file: name another folder"),
-        ("verification", "stability --only nothing_like_this", "no case's name"),
+        ("verification", "stability --only nothing_like_this", "no name contains this"),
         ("verification", "verify --json .", "is a folder"),
         ("verification", "", "required: COMMAND; see `python -m verification --help`"),
     ],

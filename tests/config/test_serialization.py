@@ -146,10 +146,10 @@ def test_files_that_give_no_sensor_are_refused_in_one_line(tmp_path, text, repor
 @pytest.mark.parametrize(
     ("words", "reported"),
     [
-        (("run", DEMO, "--sensor-from", "nowhere.json"), "nowhere.json is no file"),
+        (("run", DEMO, "--sensor-from", "nowhere.json"), "nowhere.json does not exist"),
         (("data", RECORDINGS, "--sensor-from", SHIPPED), "simulated touches"),
         (("data", DEMO, "--sensor-from", SHIPPED, "--sensor.rings", "40"), "--sensor.rings"),
-        (("sweep", SWEEP, "--sensor-from", "nowhere.json"), "nowhere.json is no file"),
+        (("sweep", SWEEP, "--sensor-from", "nowhere.json"), "nowhere.json does not exist"),
         (("evaluate", ".", "--sensor-from", SHIPPED), "stay as they are"),
     ],
 )

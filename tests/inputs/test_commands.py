@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear.config.serialization import RELEASED
+from jaxunshear.errors import Note
 from tests.conftest import Answer
 from tests.inputs.cases import Case, run_each
 
@@ -74,6 +75,12 @@ def check_last_wins(desk):
     assert experiment.train.epochs == 7
 
 
+def check_hours(desk):
+    with pytest.warns(Note, match=r"about 13,500 hours on two cores: use fewer epochs or poses"):
+        assert desk.command("run", "mine.py", "--train.epochs", "1e6").code == 0
+    assert len(desk.runs) == 1
+
+
 def check_home(desk):
     assert desk.command("run", "mine.py", "--out=~/runs").code == 0
     ((_, named),) = desk.runs
@@ -93,6 +100,19 @@ REFUSED = [
     ("a file without its ending", "run ./mine", "did you mean mine.py?"),
     ("a file that is not there", "run nowhere.py", "does not exist: name a Python file"),
     ("no file", "run", "required: FILE"),
+    ("an experiment as --sensor-from", "run mine.py --sensor-from mine.py", "is an experiment"),
+    ("a folder as --sensor-from", "run mine.py --sensor-from frames", "is a folder: name a calib"),
+    ("a source that is not there", "stream nowhere", "nowhere does not exist: name"),
+    ("a source that is no image", "stream notes.csv", "is no image and no video"),
+    (
+        "untouched frames that are not there",
+        "pose image.png --model standard --untouched nowhere",
+        "nowhere does not exist",
+    ),
+    ("a lost pin", "fit --taps frames --without 12", "leaves out the pins that no frame shows"),
+    ("a lost pin of no number", "pose image.png --without 12,x", "give numbers of pins"),
+    ("a lost pin of networks over images", "pose image.png --model standard --without 3", "pins"),
+    ("a lost pin that no sensor has", "doctor image.png --without 400", "from 0 to 330"),
     ("an empty file name", "run ''", "names nothing"),
     ("two files", "run mine.py mine.py", "unrecognized arguments: mine.py"),
     ("a number as experiment", "run five.py", "`experiment` is of type int, not Experiment"),
@@ -112,6 +132,8 @@ REFUSED = [
     ("an empty value", "run mine.py --train.epochs=", "takes a number, not ''"),
     ("a fraction of an integer", "run mine.py --train.batch 1.5", "takes an integer, not '1.5'"),
     ("a huge batch", f"run mine.py --train.batch {10**30}", "larger than the training set"),
+    ("a thousand million poses", f"run mine.py --paired.poses {10**9}", "GB of memory, and there"),
+    ("a thousand million taps", f"sweep mine.py --pose.poses {10**9}", "GB of memory, and there"),
     ("an empty item", "run mine.py --paired.stimuli disk,,clover", "not 'disk,,clover'"),
     ("a stimulus twice", "run mine.py --paired.stimuli disk,disk", "name each stimulus once"),
     ("an empty --out", "run mine.py --out ''", "argument --out: names nothing"),
@@ -149,6 +171,7 @@ CASES = [
         for name, line, said in REFUSED
     ),
     Case("a field twice", "run", "the last wins", check_last_wins),
+    Case("a million epochs", "run", "runs, and says the hours", check_hours),
     Case("--out=~/runs", "run", "the home folder", check_home),
 ]
 

@@ -242,6 +242,13 @@ def pose_by_force(door):
     assert float(row["contact"]) < 0.5
 
 
+def pose_from_untouched(door):
+    door.patch.setitem(door.model.__dict__, "touch_reader", door.model.touch_reader)
+    folder = door.write("slight, usual", "deep, usual", "beside, usual")
+    answer = door.command("pose", folder, "--untouched", folder / "000.png")
+    assert [row["left_out"] for row in read(answer.out)] == ["no contact", "", ""], answer.err
+
+
 def unshear_some(door):
     folder, out = door.write("untouched, usual", "deep, usual", "slight, usual"), door.path / "out"
     assert door.command("unshear", folder, "--out", out).code == 0
@@ -288,6 +295,7 @@ CASES = [
     Case("one of three untouched", "pose", "left out by name, exit 0", pose_of_some),
     Case("half untouched", "pose", "exit 1", pose_of_half),
     Case("untouched, --force", "pose", "a pose, its contact", pose_by_force),
+    Case("--untouched, a slight contact", "pose", "its pins are the rest", pose_from_untouched),
     Case("one of three untouched", "unshear", "no image, its contact", unshear_some),
     Case("untouched", "stream", "no contact, its probability", stream_untouched),
     Case("dragged", "stream", "all of touch", stream_touched),

@@ -223,7 +223,7 @@ def test_a_wrong_power_is_caught(monkeypatch, compiled_anew, power, name, outcom
     "part", ["codes 0:", "that cannot be", "network losses", "network ssim", "network ms_ssim"]
 )
 def test_cases_that_take_seconds_hold(part):
-    rows = stability.run_stability(part)
+    rows = stability.run_stability([part])
     assert rows and not stability.select_failed(rows), stability.format_table(rows)
     assert all(part in row.case for row in rows)
 

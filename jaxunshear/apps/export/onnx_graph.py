@@ -17,8 +17,10 @@ from onnx import ModelProto, TensorProto, ValueInfoProto, checker, helper, numpy
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.data.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.perception.grey import LUMA
+from jaxunshear.perception.grey import LUMA, MIN_CONTRAST
 from jaxunshear.perception.preprocess import (
+    MIN_THRESHOLD_SCALE,
+    USUAL_CONTRAST,
     Box,
     View,
     make_area_matrix,
@@ -133,9 +135,11 @@ def add_preprocessing(graph: OnnxGraph, camera: ExportCamera, frame: str) -> str
     small = _multiply_both_sides(graph, rows, grey, columns)
     mean = make_mean_matrix(preprocess)
     local_mean = _multiply_both_sides(graph, mean, small, mean)
-    level = graph.add("Add", local_mean, np.float32(preprocess.offset))
+    difference = graph.add("Sub", small, local_mean)
+    level = _find_threshold(graph, difference, preprocess)
     binary, middle = _find_levels(graph, grey)
-    thresholded = graph.add("And", graph.add("Not", binary), graph.add("Greater", small, level))
+    above = graph.add("Greater", difference, level)
+    thresholded = graph.add("And", graph.add("Not", binary), above)
     halved = graph.add("And", binary, graph.add("GreaterOrEqual", small, middle))
     white = graph.add("Or", thresholded, halved)
     return graph.add("And", white, make_mask(preprocess))
@@ -168,6 +172,16 @@ def _multiply_both_sides(
     return graph.add("MatMul", rows, graph.add("MatMul", image, columns.T))
 
 
+def _find_threshold(graph: OnnxGraph, difference: str, preprocess: Preprocess) -> str:
+    """Add nodes that scale the threshold by the contrast (B, 1, 1), as `binarise` does."""
+    mask = make_mask(preprocess).astype(np.float32)
+    power = graph.add("Mul", graph.add("Mul", difference, difference), mask / mask.mean())
+    contrast = graph.add("Sqrt", graph.add("ReduceMean", power, axes=[1, 2]))
+    scale = graph.add("Div", contrast, np.float32(USUAL_CONTRAST))
+    scale = graph.add("Clip", scale, np.float32(MIN_THRESHOLD_SCALE), np.float32(1))
+    return graph.add("Mul", scale, np.float32(preprocess.offset))
+
+
 def _find_levels(graph: OnnxGraph, grey: str) -> tuple[str, str]:
     """Add nodes that find the level between dark and bright, as `is_binary` does.
 
@@ -181,6 +195,6 @@ def _find_levels(graph: OnnxGraph, grey: str) -> tuple[str, str]:
     bright = graph.add("Less", graph.add("Sub", high, grey), near)
     extreme = graph.add("Cast", graph.add("Or", dark, bright), to=FLOAT)
     share = graph.add("ReduceMean", extreme, axes=[1, 2])
-    distinct = graph.add("GreaterOrEqual", contrast, np.float32(0.25))
+    distinct = graph.add("GreaterOrEqual", contrast, np.float32(MIN_CONTRAST))
     binary = graph.add("And", distinct, graph.add("Greater", share, np.float32(0.97)))
     return binary, graph.add("Mul", graph.add("Add", low, high), np.float32(0.5))

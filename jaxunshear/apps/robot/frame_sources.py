@@ -60,26 +60,39 @@ def open_source(
     With `settings.fps` a folder or video plays at that rate, as if it were a camera. Raises
     UserError; frames of a live source may end by SourceLostError.
     """
-    settings.check()
+    check_source(source, settings)
     device = parse_camera(source)
     if device is not None:
         return Source(read_newest(read_camera(source, device, settings), source), True)
-    if settings != CameraSettings(fps=settings.fps):
-        raise UserError(f"--size and --exposure are of a camera, and {source} is none")
-    if settings.fps and (source == STDIN or source.startswith((TCP, ZMQ))):
-        raise UserError(f"--fps is of a camera or files: the program that sends {source} sets it")
     if source == STDIN:  # the program before us in the pipe waits: none is dropped
         return Source(read_messages(sys.stdin.buffer.read, "stdin"), True)
     for prefix, read in ((TCP, read_tcp), (ZMQ, read_zmq)):
         if source.startswith(prefix):
             return Source(read_newest(read(source.removeprefix(prefix)), source), True)
-    if not os.path.exists(source):  # unlike that of a Path it takes pipelines, which are long
-        raise UserError(f"{source} does not exist: name {FRAME_REMEDY}")
     path = Path(source)
     frames = _read_recordings(path, preprocess)
     if settings.fps:
         return Source(read_newest(_play(frames, settings.fps), source, math.inf), True)
     return Source(frames, False, is_video(path))
+
+
+def check_source(source: str, settings: CameraSettings) -> None:
+    """Check a source without opening it. Raises UserError for one that cannot be opened."""
+    settings.check()
+    if parse_camera(source) is not None:
+        return
+    if settings != CameraSettings(fps=settings.fps):
+        raise UserError(f"--size and --exposure are of a camera, and {source} is none")
+    if source == STDIN or source.startswith((TCP, ZMQ)):
+        if settings.fps:
+            raise UserError(
+                f"--fps is of a camera or files: the program that sends {source} sets it"
+            )
+        return
+    if not os.path.exists(source):  # unlike that of a Path it takes pipelines, which are long
+        raise UserError(f"{source} does not exist: name {FRAME_REMEDY}")
+    if os.path.isfile(source):
+        read_recordings(source, Preprocess())  # refuses what is no image
 
 
 class CameraText(NamedTuple):

@@ -170,6 +170,8 @@ def frames_in(folder, kind):
         grey = np.where(disc, 0.15 + 0.6 * pinned, 0.75) + random.normal(0, 0.02, rows.shape)
         if kind == "binary":
             grey = (disc & pinned).astype(float)
+        if kind == "dim":
+            grey = 0.2 * grey
         if kind == "colour":
             grey = grey[..., None] * np.array([1, 0.8, 0.5])
         Image.fromarray(np.uint8(np.clip(255 * grey, 0, 255))).save(folder / f"{number}.png")
@@ -180,7 +182,7 @@ def read_frames(folder):
     return np.stack([read_image(file) for file in sorted(folder.glob("*.png"))])
 
 
-@pytest.mark.parametrize("kind", ["grey", "colour", "binary"])
+@pytest.mark.parametrize("kind", ["grey", "dim", "colour", "binary"])
 @pytest.mark.parametrize("box", [None, (-4, 20, 80, 104)], ids=["found", "over the border"])
 def test_frames_are_prepared_in_the_file(tmp_path, kind, box):
     folder = frames_in(tmp_path / "frames", kind)
