@@ -1,5 +1,6 @@
 """The module beside a file over pins gives what the model gives, without JAX and this package."""
 
+import ast
 import json
 import subprocess
 import sys
@@ -91,11 +92,19 @@ def exported(tmp_path_factory):
     return SimpleNamespace(
         read=np.load(folder / "read.npz"),
         lines=[json.loads(line) for line in ran.stdout.splitlines()],
+        imports=ast.parse((folder / "touch_pins.py").read_text()).body,
         contacts=contacts,
         model=model,
         images=images,
         predictions=model.predict(images),
     )
+
+
+def test_the_module_imports_what_it_says(exported):
+    words = {node.module for node in exported.imports if isinstance(node, ast.ImportFrom)}
+    words |= {node.names[0].name for node in exported.imports if isinstance(node, ast.Import)}
+    packages = {word.partition(".")[0] for word in words} - sys.stdlib_module_names
+    assert packages == {"numpy", "scipy", "skimage", "threadpoolctl"}
 
 
 def test_pins_are_found_where_the_model_finds_them(exported):
