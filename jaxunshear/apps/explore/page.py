@@ -161,10 +161,8 @@ def _build_pictures(tab: Tab) -> None:
                 ui.label("pose, as it is and as it is read").classes("title")
                 tab.parts["poses"] = _add_table({"quantity": ""} | COLUMNS)
             with ui.element("div").classes("card"):
-                ui.label("contact, slip and shear, by the pins of the sheared image").classes(
-                    "title"
-                )
-                tab.parts["touch"] = _add_table({"quantity": "", "value": ""})
+                ui.label("contact, slip and shear").classes("title")
+                tab.parts["touch"] = _add_table({"quantity": "", "value": ""}).props("hide-header")
             with ui.element("div").classes("card"):
                 ui.label("a recorded image").classes("title")
                 ui.upload(
