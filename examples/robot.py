@@ -1,11 +1,15 @@
 """A robot's program: frames in, poses out, by a model exported with `jaxunshear export`. Needs numpy and onnxruntime alone.
 
 python examples/robot.py touch.onnx frames.npy      # (N, ...) of what the model takes: frames, prepared images, or pins
+
+Where touch_pins.py stands beside a touch.onnx that takes pins, it finds these in frames; it needs scipy, scikit-image and threadpoolctl.
 """
 
+import importlib
 import json
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import onnxruntime
@@ -23,13 +27,32 @@ class Touch:
         self._reason = known["not_sure"]  # of every frame that is not
         self._given = self._session.get_inputs()[0]
         self._dtype = np.uint8 if self._given.type == "tensor(uint8)" else np.float32
-        self.answer(np.zeros(self._given.shape[1:], self._dtype))  # the first call is slow
+        self._run(np.zeros(self._given.shape[1:], self._dtype))  # the first call is slow
+        self._camera = None
+        module = Path(file).with_name(f"{Path(file).stem}_pins.py")
+        if self._given.name == "pins" and module.exists():
+            sys.path.append(str(module.parent))
+            self._camera = importlib.import_module(module.stem).CAMERA
 
     def answer(self, frame: np.ndarray) -> dict[str, float | str | dict[str, float]]:
         """Of one frame, as in a line of `jaxunshear stream`: confidence, and the pose, mm and deg by name, or why there is none.
 
-        "unsheared" is asked for likewise.
+        Where pins are found here: "touch", too.
         """
+        if self._camera is None:
+            return self._run(frame)
+        reading = self._camera.read(frame)
+        line = self._run(reading.inputs[0])
+        touch = {name: round(value, 4) for name, value in reading.touch.items()}
+        if reading.reason:
+            line["error"] = reading.reason
+        elif "pose" in line:
+            pose = self._camera.turn_pose(line["pose"])
+            line["pose"] = {name: round(value, 4) for name, value in pose.items()}
+        return line | ({"touch": touch} if touch else {})
+
+    def _run(self, frame: np.ndarray) -> dict[str, float | str | dict[str, float]]:
+        """Run the model on what it takes; "unsheared" is asked for likewise."""
         if frame.shape != tuple(self._given.shape[1:]) or frame.dtype != self._dtype:
             raise SystemExit(
                 f"{frame.dtype} {frame.shape}: the model takes {self._given.type} {self._given.shape[1:]}"

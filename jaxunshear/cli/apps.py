@@ -146,7 +146,7 @@ def export(arguments: argparse.Namespace, command: str) -> int:
             batch = int(arguments.batch)
         except ValueError:
             raise UserError(f"--batch {arguments.batch}: use a number, or any") from None
-    export_model(arguments.model, arguments.file, batch, arguments.preprocess)
+    export_model(arguments.model, arguments.file, batch, arguments.preprocess, arguments.like)
     return 0
 
 
@@ -226,6 +226,12 @@ COMMANDS = (
                 "FRAMES",
                 "the file takes frames of a camera as they come; "
                 "these show their size and where the dome stands",
+            ),
+            path(
+                "--like",
+                "DIR",
+                "contacts of the camera whose mean shows where pins stand, "
+                "for networks over pins that learnt from simulation alone",
             ),
         ),
     ),

@@ -40,6 +40,7 @@ from jaxunshear.perception.touch import (
     TouchGauge,
     find_no_contact,
     make_recorded_gauge,
+    make_scaled_gauge,
     make_touch_gauge,
     may_be_untouched,
     measure_touch,
@@ -121,6 +122,27 @@ class ImageReader:
         return measure_motions(lattice, run_in_batches(unshear, images)[..., 0])
 
 
+def read_pins(
+    lattice: Lattice,
+    frame: SensorFrame | None,
+    transforms: FrameTransforms | None,
+    images: np.ndarray,
+) -> NetworkInputs:
+    """Find pins in images (B, S, S) uint8 of {0, 255}; `PinReader` has the other arguments."""
+    motion, identified = track_images(lattice, images, independent=True)
+    pins = values = lattice.rest + motion
+    if frame is not None and transforms is not None:
+        pins = to_image_px(frame, pins)
+        filled = lattice.rest + np.array([lattice.fill_holes(row) for row in motion])
+        values = transforms.to_model(to_image_px(frame, filled))
+    return NetworkInputs(values.astype(np.float32), identified, pins)
+
+
+def turn_pose(pose: dict[str, np.ndarray], degrees: float) -> dict[str, np.ndarray]:
+    """Turn poses (B,), by quantity, from the model's lattice to one at `degrees` from it."""
+    return pose | {name: wrap_degrees(pose[name] + degrees) for name in (EDGE,) if name in pose}
+
+
 class PinReader(NamedTuple):
     """For networks over pins."""
 
@@ -129,13 +151,7 @@ class PinReader(NamedTuple):
     transforms: FrameTransforms | None = None
 
     def read(self, images: np.ndarray) -> NetworkInputs:
-        motion, identified = track_images(self.lattice, images, independent=True)
-        pins = values = self.lattice.rest + motion
-        if self.frame is not None and self.transforms is not None:
-            pins = to_image_px(self.frame, pins)
-            filled = self.lattice.rest + np.array([self.lattice.fill_holes(row) for row in motion])
-            values = self.transforms.to_model(to_image_px(self.frame, filled))
-        return NetworkInputs(values.astype(np.float32), identified, pins)
+        return read_pins(self.lattice, self.frame, self.transforms, images)
 
     def finish(
         self, inputs: NetworkInputs, unsheared: np.ndarray | None, poses: Poses
@@ -146,9 +162,7 @@ class PinReader(NamedTuple):
             pins[UNSHEARED] = self.transforms.from_model(unsheared)
             dots = draw_dots(jnp.asarray(pins[UNSHEARED]), self.frame.radius_px, self.frame.size)
             image = np.asarray(dots)[..., 0]
-        for pose in poses.values():
-            if EDGE in pose:
-                pose[EDGE] = wrap_degrees(pose[EDGE] + self.transforms.degrees)
+        poses = {kind: turn_pose(pose, self.transforms.degrees) for kind, pose in poses.items()}
         return NetworkOutputs(image, poses, pins)
 
     def measure_unsheared_motions(
@@ -198,21 +212,26 @@ class TouchReader(NamedTuple):
 
     def learn_rest_positions(self, images: np.ndarray, pins: np.ndarray | None) -> "TouchReader":
         """Return the reader that measures from the mean of these images, of an untouched dome."""
-        pins = self._track(images) if pins is None else pins.copy()
-        lattice = self.gauge.lattice
-        pins[:, list(lattice.lost)] = lattice.rest[list(lattice.lost)]
-        count = np.isfinite(pins[..., 0]).sum(axis=0)
-        if not count.all():
-            raise UserError(
-                f"of {np.sum(count == 0)} pins no place is known in {len(images)} images of the "
-                "untouched dome: give images in which all pins are identified"
-            )
-        rest = make_lattice(np.nanmean(pins, axis=0), lattice.ring, lattice.lost)
-        return self._replace(gauge=self.gauge._replace(lattice=rest))
+        pins = self._track(images) if pins is None else pins
+        return self._replace(gauge=learn_gauge(self.gauge, pins))
 
     def _track(self, images: np.ndarray) -> np.ndarray:
         rest: np.ndarray = self.lattice.rest
         return rest + track_images(self.lattice, images, independent=True).motion
+
+
+def learn_gauge(gauge: TouchGauge, pins: np.ndarray) -> TouchGauge:
+    """Make the gauge anew of pins (B, P, 2) px in images of an untouched dome. Raises UserError."""
+    lattice, pins = gauge.lattice, pins.copy()
+    pins[:, list(lattice.lost)] = lattice.rest[list(lattice.lost)]
+    count = np.isfinite(pins[..., 0]).sum(axis=0)
+    if not count.all():
+        raise UserError(
+            f"of {np.sum(count == 0)} pins no place is known in {len(pins)} images of the "
+            "untouched dome: give images in which all pins are identified"
+        )
+    rest = make_lattice(np.nanmean(pins, axis=0), lattice.ring, lattice.lost)
+    return make_scaled_gauge(rest, gauge.mm_per_px, gauge.stiffness, gauge.weights)
 
 
 def make_touch_reader(rest: Lattice | SensorFrame, sensor: Sensor) -> TouchReader:

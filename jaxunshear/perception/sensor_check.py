@@ -22,7 +22,7 @@ from jaxunshear.perception.preprocess import make_mask
 MIN_PINS = 10  # below which pins have no spacing and no rim
 MIN_SPACING_PX = 4.0  # below which dots and gaps are a pixel or two wide: dust, not pins
 RIM_PERCENT = 95  # of the pins stand within the rim: a glint outside does not move it
-NEIGHBOURS = 4  # of a pin, whose distances show whether it stands evenly
+EVEN_NEIGHBOURS = 4  # of a pin, whose distances show whether it stands evenly
 MAX_UNEVENNESS = 0.35  # of the spacing by which such a distance may differ from it
 MIN_EVEN_SHARE = 0.7  # of the expected share: with fewer even pins there is no lattice
 MIN_PLAUSIBILITY = 0.5  # of an image of the sensor; also the share of such images in its folders
@@ -64,7 +64,7 @@ class Verdict:
 def measure_sensor_appearance(pins_px: np.ndarray, size: int) -> SensorAppearance:
     """Measure MIN_PINS or more pins (P, 2) px as (column, row) in images of `size` px."""
     pins = np.asarray(pins_px, float)
-    distance = cKDTree(pins).query(pins, k=NEIGHBOURS + 1)[0][:, 1:]
+    distance = cKDTree(pins).query(pins, k=EVEN_NEIGHBOURS + 1)[0][:, 1:]
     spacing = float(np.median(distance[:, :3]))
     low, high = np.percentile(pins, [1, 99], axis=0)
     middle = (low + high) / 2

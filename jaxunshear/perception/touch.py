@@ -47,6 +47,7 @@ class TouchGauge(NamedTuple):
     plane: np.ndarray  # (P, 3, N): of motions of `near` makes the value at the pin, and its slopes
     zones: np.ndarray  # (Z, P): takes means over groups of rings
     stiffness: float  # of the skin over the gel's
+    weights: "TouchWeights"
 
 
 class MotionField(NamedTuple):
@@ -106,6 +107,14 @@ def make_touch_gauge(untouched: Lattice, sensor: Sensor) -> TouchGauge:
     tips = compute_pin_tips(sensor)[:, :2]
     centred = untouched.rest - untouched.rest.mean(axis=0)
     mm_per_px = float(np.linalg.norm(tips - tips.mean(axis=0)) / np.linalg.norm(centred))
+    stiffness = sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
+    return make_scaled_gauge(untouched, mm_per_px, stiffness, load_weights())
+
+
+def make_scaled_gauge(
+    untouched: Lattice, mm_per_px: float, stiffness: float, weights: TouchWeights
+) -> TouchGauge:
+    """Make the gauge of the lattice of a sensor whose scale and stiffness are known."""
     place = mm_per_px * (untouched.rest - untouched.centre)
     near = np.column_stack([np.arange(len(place)), untouched.neighbours])
     offset = place[near] - place[:, None]
@@ -116,8 +125,7 @@ def make_touch_gauge(untouched: Lattice, sensor: Sensor) -> TouchGauge:
     radius = np.linalg.norm(place, axis=-1)
     zones = np.eye(len(ZONES) - 1)[:, np.digitize(radius / radius.max(), ZONES) - 1]
     zones = zones / np.maximum(zones.sum(axis=1, keepdims=True), 1)
-    stiffness = sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
-    return TouchGauge(untouched, place, mm_per_px, near, plane, zones, stiffness)
+    return TouchGauge(untouched, place, mm_per_px, near, plane, zones, stiffness, weights)
 
 
 def make_recorded_gauge(lattice: Lattice, sensor: Sensor) -> TouchGauge:
@@ -229,9 +237,8 @@ def predict_touch(weights: TouchWeights, features: TouchFeatures) -> Touch:
 def measure_touch(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> Touch:
     """Measure what pins px show of a contact; an image that is not followed has NaN alone."""
     followed = np.isfinite(pins).any(axis=(1, 2))
-    touch = predict_touch(
-        load_weights(), describe_field(gauge, measure_field(gauge, pins[followed]))
-    )
+    features = describe_field(gauge, measure_field(gauge, pins[followed]))
+    touch = predict_touch(gauge.weights, features)
     values = np.full((len(touch), len(pins)), np.nan)
     values[:, followed] = touch
     return Touch(*values)

@@ -35,7 +35,7 @@ from jaxunshear.perception.pin_track import (
 # pins lost and 0 to 2 % dust, and of 127 pins also under deep contacts of sharp shapes.
 MAX_DETECTED_SHARE = 1.1  # of the pins: among the dots of noise any lattice finds itself
 MAX_WORN_OFFSET = 0.45  # of the spacing, of a pin from its neighbours' motion
-MAX_HOLE_SHARE = 0.1  # of the pins that may be missing within the inner rings
+MAX_WORN_HOLE_SHARE = 0.1  # of the pins that may be missing within the inner rings
 MIN_NEIGHBOURS = 4  # of NEAREST, seen around such a hole; an outer pin that is sure has more
 # Pins off their neighbours, plus twice the pins or dots, whichever are fewer, without a partner:
 # identities that are one row off have this many in a row, which is about sqrt(pins) long.
@@ -143,7 +143,7 @@ def assess_worn_track(
     faults = np.sum(offset > MAX_OFFSET) + 2 * min(missed, extra)
     identified = (
         offset.max() <= MAX_WORN_OFFSET
-        and holes.sum() <= MAX_HOLE_SHARE * len(motion)
+        and holes.sum() <= MAX_WORN_HOLE_SHARE * len(motion)
         and (support[holes] >= MIN_NEIGHBOURS).all()
         and faults <= MAX_ROW_FAULTS * np.sqrt(len(motion))
     )

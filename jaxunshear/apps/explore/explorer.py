@@ -25,7 +25,7 @@ from jaxunshear.data.sensor_frame import SensorFrame
 from jaxunshear.data.simulation import render_images
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
-from jaxunshear.inference.readers import Predictions
+from jaxunshear.inference.readers import Predictions, make_touch_reader
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.metrics import count_scales, ms_ssim
 from jaxunshear.perception.drawing import to_uint8
@@ -33,6 +33,7 @@ from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.pin_detection import detect_pins
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import invert_image, judge_images
+from jaxunshear.perception.touch import find_no_contact
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.level import LEVELS, Level
 from jaxunshear.simulator.paths import make_paths
@@ -172,6 +173,7 @@ class Picture(NamedTuple):
         pins: (2, P, 2) px, untouched and at the slide's end.
         result: Of the contacts; None for a recorded image, as `pins`.
         likeness: MS-SSIM to the tap, by SHEARED and UNSHEARED.
+        touch: contact, slip and shear by output; none where pins are not identified.
     """
 
     images: dict[str, np.ndarray]
@@ -180,6 +182,7 @@ class Picture(NamedTuple):
     pins: np.ndarray | None = None
     result: TouchResult | None = None
     likeness: Mapping[str, float] = MappingProxyType({})
+    touch: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -213,17 +216,18 @@ class Explorer:
         )
         images = {SHEARED: frames[0], TAP: frames[1]}
         poses = {TRUE: _compute_true_pose(touch, self.model.targets)}
-        if not result.skin_force_n.any():
-            note = "no touch: the dome is above the shape or beside it"
-        elif touch.sensor != self.model.sensor:
+        measured: Mapping[str, float] = {}
+        if touch.sensor != self.model.sensor:
             reason = judge_images(frames[:1], self.model.appearance).reason
             reason = reason or "its pins only resemble those that it learnt from"
             note = f"the model does not know this sensor: {reason}"
         else:
-            note = _add_predictions(images, poses, self.model.predict(frames[:1]))
+            predictions = self.model.predict(frames[:1])
+            measured = predictions.touch.describe(0)
+            note = _add_predictions(images, poses, predictions)
             note = note or describe_limits(touch, self.paired.ranges)
         both = np.stack([_compute_rest_px(touch.sensor, self.paired), pins[0]])
-        return Picture(images, poses, note, both, result, compute_likeness(images))
+        return Picture(images, poses, note, both, result, compute_likeness(images), measured)
 
     def infer_recording(self, name: str, data: bytes) -> Picture:
         """Run the networks on the bytes of an image file.
@@ -244,7 +248,7 @@ class Explorer:
         poses: dict[str, dict[str, float]] = {}
         predictions = model.predict(images[SHEARED][None])
         note = _add_predictions(images, poses, predictions)
-        return Picture(images, poses, note)
+        return Picture(images, poses, note, touch=predictions.touch.describe(0))
 
 
 def make_explorer(model: TrainedModel, own_stimuli: tuple[Stimulus, ...] = ()) -> Explorer:
@@ -256,6 +260,7 @@ def make_explorer(model: TrainedModel, own_stimuli: tuple[Stimulus, ...] = ()) -
     model = simulated = replace(model, force=True)
     if model.reads_pins:
         simulated = replace(model, frame=_make_simulated_frame(model.sensor, paired))
+        simulated.touch_reader = make_touch_reader(model.lattice, model.sensor)
     return Explorer(paired, simulated, model, own_stimuli)
 
 
@@ -263,6 +268,8 @@ def _add_predictions(
     images: dict[str, np.ndarray], poses: dict[str, dict[str, float]], predictions: Predictions
 ) -> str:
     """Add the predictions for one image; return in one line why there are none, or nothing."""
+    if find_no_contact(predictions.touch)[0]:
+        return "no touch: the pins stand as on an untouched dome"
     if predictions.rejection[0]:
         return f"no unsheared image: {predictions.rejection[0]}"
     if predictions.unsheared is not None:

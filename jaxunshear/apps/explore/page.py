@@ -159,14 +159,10 @@ def _build_pictures(tab: Tab) -> None:
         with ui.element("div").classes("stack"):
             with ui.element("div").classes("card"):
                 ui.label("pose, as it is and as it is read").classes("title")
-                heads = {"quantity": ""} | COLUMNS
-                columns = [
-                    {"name": key, "label": text, "field": key, "align": "right"}
-                    for key, text in heads.items()
-                ]
-                tab.parts["poses"] = ui.table(rows=[], columns=columns, row_key="quantity").props(
-                    "flat dense hide-bottom"
-                )
+                tab.parts["poses"] = _add_table({"quantity": ""} | COLUMNS)
+            with ui.element("div").classes("card"):
+                ui.label("contact, slip and shear").classes("title")
+                tab.parts["touch"] = _add_table({"quantity": "", "value": ""}).props("hide-header")
             with ui.element("div").classes("card"):
                 ui.label("a recorded image").classes("title")
                 ui.upload(
@@ -178,6 +174,15 @@ def _build_pictures(tab: Tab) -> None:
                         tab, None, f"this file is larger than {LARGEST_BYTES // 10**6} MB"
                     ),
                 ).props("flat bordered hide-upload-btn").classes("drop")
+
+
+def _add_table(headings: dict[str, str]) -> ui.table:
+    columns = [
+        {"name": key, "label": text, "field": key, "align": "right"}
+        for key, text in headings.items()
+    ]
+    table = ui.table(rows=[], columns=columns, row_key="quantity")
+    return table.props("flat dense hide-bottom")
 
 
 def serve(explorer: Explorer, port: int) -> None:

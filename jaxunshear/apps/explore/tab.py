@@ -112,6 +112,10 @@ def show(tab: Tab, picture: Picture | None, problem: str, duration: str = "") ->
     problem_line.set_text(problem)
     problem_line.set_visibility(bool(problem))
     tab.part("poses", ui.table).rows = _make_rows(picture.poses) if picture else []
+    tab.part("touch", ui.table).rows = [
+        {"quantity": _name_quantity(name), "value": f"{value:.2f}"}
+        for name, value in (picture.touch if picture else {}).items()
+    ]
 
 
 def _show_contact(tab: Tab, picture: Picture | None) -> None:
@@ -133,11 +137,15 @@ def _make_rows(poses: dict[str, dict[str, float]]) -> list[dict[str, str]]:
     names = next(iter(poses.values()), {})
     rows = []
     for name in names:
-        quantity, _, unit = name.rpartition("_")
         cells = {key: poses.get(key, {}).get(name, math.nan) for key in COLUMNS}
         texts = {key: "-" if math.isnan(value) else f"{value:.2f}" for key, value in cells.items()}
-        rows.append({"quantity": f"{quantity.replace('_', ' ')}, {unit}"} | texts)
+        rows.append({"quantity": _name_quantity(name)} | texts)
     return rows
+
+
+def _name_quantity(name: str) -> str:
+    quantity, _, unit = name.rpartition("_")
+    return f"{quantity.replace('_', ' ')}, {unit}" if quantity else name
 
 
 async def on_map(tab: Tab, event: events.MouseEventArguments) -> None:

@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from jaxunshear import __version__
+from jaxunshear.apps.export.camera_pins import write_pin_module
 from jaxunshear.apps.export.parts import (
     MAX_DIFFERENCE,
     ExportedModel,
@@ -47,21 +48,28 @@ INPUTS = {
 
 
 def export_model(
-    name: Path, out: Path, batch: int | None = None, preprocess: Path | None = None
+    name: Path,
+    out: Path,
+    batch: int | None = None,
+    preprocess: Path | None = None,
+    like: Path | None = None,
 ) -> float:
     """Write a model to `out` and return the largest difference to JAX, over an output's range.
 
-    Raises UserError, and then leaves nothing behind.
+    Beside a file over pins stands the module that finds them, if the model knows a camera. Raises
+    UserError, and then leaves nothing behind.
 
     Args:
         batch: how many images the file takes at once, None for any.
         preprocess: frames of a camera; the file then takes such frames as they come.
+        like: contacts of a camera, for networks over pins that learnt from simulation alone.
     """
     _check_arguments(out, batch, preprocess)
-    model = load_model(name)
+    model = load_model(name, like)
     if preprocess is not None and model.reads_pins:
         raise UserError(
-            f"--preprocess: {name} reads pins, which are found outside of the file; leave it out"
+            f"--preprocess: {name} reads pins, which are found outside of the file; "
+            "name contacts of the camera by --like"
         )
     _check_extra(out.suffix)
     parts = load_exported_model(model)
@@ -77,7 +85,16 @@ def export_model(
     write_bytes(out, data)
     size = f"{len(data) / 1e6:.1f} MB"
     print(f"{out}: {size}, differs from JAX by at most {difference:.1e} of an output's range")
+    if parts.rest is not None:
+        _write_module(model, parts.rest, out)
     return difference
+
+
+def _write_module(model: TrainedModel, rest: np.ndarray, out: Path) -> None:
+    if model.frame is None:
+        print("no module that finds pins: name contacts of a camera by --like")
+    else:
+        print(f"{write_pin_module(model, rest, out)}: finds pins in frames of the camera")
 
 
 def _check_arguments(out: Path, batch: int | None, preprocess: Path | None) -> None:

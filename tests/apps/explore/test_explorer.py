@@ -101,6 +101,20 @@ def test_skin_slips_where_friction_is_used_up():
         assert found[0] == state and (found[1:] == FREE).all()
 
 
+def test_a_picture_holds_what_the_pins_show(explorer, picture):
+    expected = explorer.model.touch(picture.images[SHEARED][None]).describe(0)
+    assert picture.touch == pytest.approx(expected) and expected["contact"] > 0.9
+
+
+def test_where_nothing_is_touched_there_are_no_predictions(explorer, touch):
+    beside = replace(touch, pose=(20.0, 0.0, 0.0, 1.2))
+    picture = explorer.simulate_picture(beside)
+    assert picture.note.startswith("no touch: ") and picture.touch["contact"] < 0.5
+    assert set(picture.poses) == {TRUE} and UNSHEARED not in picture.images
+    recorded = explorer.infer_recording("a.png", png_of(picture.images[SHEARED]))
+    assert recorded.note == picture.note and recorded.touch == pytest.approx(picture.touch)
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [

@@ -333,7 +333,7 @@ def test_a_robot_s_program_in_python(run_dir, tmp_path):
     program = ROOT / "examples" / "robot.py"
     nodes = ast.walk(ast.parse(program.read_text()))
     imported = {name.name for node in nodes for name in getattr(node, "names", [])}
-    assert imported == {"json", "sys", "time", "numpy", "onnxruntime"}
+    assert imported == {"importlib", "json", "sys", "time", "Path", "numpy", "onnxruntime"}
     folder = frames_in(tmp_path / "frames", "colour")
     out = export_model(run_dir, tmp_path / "touch.onnx", "--preprocess", folder)
     frames = read_frames(folder)

@@ -1,0 +1,173 @@
+"""The module beside a file over pins gives what the model gives, without JAX and this package."""
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import ndimage
+
+from jaxunshear import load_model
+from jaxunshear.angles import rotation_2d
+from jaxunshear.apps.export import package_source
+from jaxunshear.apps.export.package_source import collect_source
+from jaxunshear.cli import main
+from jaxunshear.data.simulation import render_images
+from jaxunshear.perception.preprocess import View
+from jaxunshear.perception.touch import Touch
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+
+ROBOT = Path(__file__).resolve().parents[3] / "examples" / "robot.py"
+CONTACTS = 24
+PROGRAM = """
+import runpy
+import sys
+from pathlib import Path
+
+
+class Absent:
+    def find_spec(self, name, *_):
+        if name.partition(".")[0] in ("jax", "jaxlib", "jaxtyping", "flax", "jaxunshear"):
+            raise ImportError(name)
+
+
+sys.meta_path.insert(0, Absent())
+import numpy as np
+from touch_pins import CAMERA
+
+frames = np.load("frames.npy")
+readings = [CAMERA.read(frame) for frame in frames]
+learnt = CAMERA.learn_rest_positions(frames[-2:-1]).read(frames[0])
+inputs, pins, touch, reasons = zip(*readings)
+found = dict(inputs=np.concatenate(inputs), pins=np.stack(pins), reasons=reasons)
+np.savez("read.npz", **found, learnt=list(learnt.touch.values()))
+sys.argv[1:] = ["touch.onnx", "frames.npy"]
+sys.path.insert(0, "")
+runpy.run_path(ROBOT, run_name="__main__")
+"""
+
+
+def make_frames(model):
+    """Render frames of a camera: CONTACTS of them touched, then one untouched and one of noise."""
+    random, sensor = np.random.default_rng(0), model.sensor
+    tips = np.stack([compute_pin_tips(sensor)] * (CONTACTS + 1))
+    for row in range(0, CONTACTS, 6):  # six copies, turned: the mean of all is round
+        middle, drag = random.uniform(-3, 3, (2, 2)) * [[1], [0.2]]
+        for number in range(6):
+            turn = rotation_2d(np.radians(60 * number))
+            place = tips[row + number]  # a view
+            offset = place[:, :2] - turn @ middle
+            share = np.exp(-np.square(offset).sum(-1) / (2 * 5.0**2))[:, None]
+            place[:, :2] += share * (0.15 * offset + turn @ drag)
+    paired = model.experiment.paired
+    numbers, ages = np.arange(len(tips)), np.zeros(len(tips))
+    images, _ = render_images(paired, sensor, tips, numbers, ages, len(tips))
+    frames = np.kron(images, np.ones((1, 3, 3)))
+    grey = 30 + 0.6 * ndimage.gaussian_filter(frames, (0, 1.5, 1.5))
+    grey = np.concatenate([grey, random.uniform(0, 255, grey[:1].shape)])
+    return np.uint8(np.clip(grey + random.normal(0, 2, grey.shape), 0, 255))
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    folder, contacts = tmp_path_factory.mktemp("robot"), tmp_path_factory.mktemp("contacts")
+    frames = make_frames(load_model("skin"))
+    for number, frame in enumerate(frames[:CONTACTS]):
+        Image.fromarray(frame).save(contacts / f"{number:02d}.png")
+    np.save(folder / "frames.npy", frames)
+    out = folder / "touch.onnx"
+    assert main(["export", "skin", "--like", str(contacts), "--out", str(out)]) == 0
+    command = [sys.executable, "-c", PROGRAM.replace("ROBOT", repr(str(ROBOT)))]
+    ran = subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, timeout=300, env={"PATH": ""}
+    )
+    assert ran.returncode == 0, ran.stderr
+    model = load_model("skin", like=contacts)
+    images = np.stack([model.prepare(frame) for frame in frames])
+    return SimpleNamespace(
+        read=np.load(folder / "read.npz"),
+        lines=[json.loads(line) for line in ran.stdout.splitlines()],
+        imports=ast.parse((folder / "touch_pins.py").read_text()).body,
+        contacts=contacts,
+        model=model,
+        images=images,
+        predictions=model.predict(images),
+    )
+
+
+def test_the_module_imports_what_it_says(exported):
+    words = {node.module for node in exported.imports if isinstance(node, ast.ImportFrom)}
+    words |= {node.names[0].name for node in exported.imports if isinstance(node, ast.Import)}
+    packages = {word.partition(".")[0] for word in words} - sys.stdlib_module_names
+    assert packages == {"numpy", "scipy", "skimage", "threadpoolctl"}
+
+
+def test_pins_are_found_where_the_model_finds_them(exported):
+    read, predictions = exported.read, exported.predictions
+    np.testing.assert_allclose(read["pins"], exported.model.reader.read(exported.images).pins)
+    *_, untouched, noise = read["reasons"].tolist()
+    assert read["reasons"].tolist() == predictions.rejection.tolist()
+    assert untouched == "no contact" and noise and not any(read["reasons"][:CONTACTS])
+    assert np.isnan(read["inputs"][CONTACTS:]).all()
+
+
+def test_a_robot_s_program_gives_the_model_s_touch(exported):
+    touch = exported.model.touch(exported.images)
+    for row, line in enumerate(exported.lines[:-1]):
+        expected = touch.describe(row)
+        assert line["touch"].keys() == expected.keys()
+        np.testing.assert_allclose(list(line["touch"].values()), list(expected.values()), atol=1e-4)
+    assert set(exported.lines[0]["touch"]) == set(Touch._fields)
+    assert "slip" not in exported.lines[-2]["touch"] and "touch" not in exported.lines[-1]
+
+
+def test_an_untouched_frame_is_learnt_as_the_model_learns_it(exported):
+    model = load_model("skin", like=exported.contacts)
+    model.learn_rest_positions(exported.images[-2:-1])
+    expected = list(model.touch(exported.images[:1]).describe(0).values())
+    np.testing.assert_allclose(exported.read["learnt"], expected, atol=1e-4)
+    assert abs(exported.lines[0]["touch"]["contact"] - expected[0]) > 0
+
+
+def test_a_robot_s_program_gives_the_model_s_poses(exported):
+    poses = exported.predictions.poses["unsheared"]
+    assert len(exported.lines) == CONTACTS + 2
+    for row, line in enumerate(exported.lines[:CONTACTS]):
+        assert line["confidence"] > 0.5
+        for name, value in line["pose"].items():
+            error = value - poses[name][row]
+            error = (error + 180) % 360 - 180 if name == "edge_deg" else error
+            assert abs(error) < 0.01
+    for line, reason in zip(exported.lines, exported.predictions.rejection, strict=True):
+        assert line.get("error", "") == reason and ("pose" in line) == (not reason)
+        assert (line["confidence"] > 0) == (not reason)
+
+
+def test_without_a_camera_there_is_no_module(tmp_path, capsys):
+    assert main(["export", "skin", "--out", str(tmp_path / "skin.onnx")]) == 0
+    assert "name contacts of a camera by --like" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["skin.onnx"]
+
+
+def test_source_holds_what_a_class_uses_alone():
+    found: dict[str, object] = {}
+    exec(collect_source(View), found)
+    assert found["View"]() == View() and "Box" not in found
+
+
+def test_two_definitions_of_one_name_are_refused(tmp_path, monkeypatch):
+    (tmp_path / "second.py").write_text(
+        "from first import get\n\nSIZE = 2\n\n\nclass Both:\n    sizes = SIZE, get\n"
+    )
+    (tmp_path / "first.py").write_text("SIZE = 1\n\n\ndef get():\n    return SIZE\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(package_source, "PACKAGE", "first")
+    import second
+
+    with pytest.raises(ValueError, match="SIZE is defined in"):
+        collect_source(second.Both)
