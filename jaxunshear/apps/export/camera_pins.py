@@ -108,6 +108,17 @@ class CameraPins:
         return turn_pose(pose, self.transforms.degrees)
 
 
+def get_module_path(file: Path) -> Path:
+    """Return the path of the module beside an exported file.
+
+    Raises UserError if something else has that name.
+    """
+    path = file.with_name(f"{file.stem}_pins.py")
+    if path.exists() and not path.read_bytes().startswith(HEADING.split("{")[0].encode()):
+        raise UserError(f"{path} is there, and no module of an export: give another --out")
+    return path
+
+
 def write_pin_module(model: TrainedModel, model_rest: np.ndarray, file: Path) -> Path:
     """Write the module that finds the pins of a model's camera beside an exported file.
 
@@ -127,7 +138,7 @@ def write_pin_module(model: TrainedModel, model_rest: np.ndarray, file: Path) ->
     )
     heading = HEADING.format(name=file.name, version=__version__)
     source = collect_source(CameraPins, *DATA)
-    path = file.with_name(f"{file.stem}_pins.py")
+    path = get_module_path(file)
     write_bytes(path, f"{heading}\n{source}\n\nCAMERA = {_format(camera)}\n".encode())
     return path
 

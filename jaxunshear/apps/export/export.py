@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from jaxunshear import __version__
-from jaxunshear.apps.export.camera_pins import write_pin_module
+from jaxunshear.apps.export.camera_pins import get_module_path, write_pin_module
 from jaxunshear.apps.export.parts import (
     MAX_DIFFERENCE,
     ExportedModel,
@@ -65,6 +65,7 @@ def export_model(
         like: contacts of a camera, for networks over pins that learnt from simulation alone.
     """
     _check_arguments(out, batch, preprocess)
+    module = get_module_path(out)
     model = load_model(name, like)
     if preprocess is not None and model.reads_pins:
         raise UserError(
@@ -85,6 +86,7 @@ def export_model(
     write_bytes(out, data)
     size = f"{len(data) / 1e6:.1f} MB"
     print(f"{out}: {size}, differs from JAX by at most {difference:.1e} of an output's range")
+    module.unlink(missing_ok=True)  # of an earlier file, perhaps of another camera
     if parts.rest is not None:
         _write_module(model, parts.rest, out)
     return difference

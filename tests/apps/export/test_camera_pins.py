@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from jaxunshear import load_model
 from jaxunshear.angles import rotation_2d
-from jaxunshear.apps.export import package_source
+from jaxunshear.apps.export import camera_pins, package_source
 from jaxunshear.apps.export.package_source import collect_source
 from jaxunshear.cli import main
 from jaxunshear.data.simulation import render_images
@@ -171,3 +171,20 @@ def test_two_definitions_of_one_name_are_refused(tmp_path, monkeypatch):
 
     with pytest.raises(ValueError, match="SIZE is defined in"):
         collect_source(second.Both)
+
+
+def test_a_file_of_somebody_else_stays(command, tmp_path):
+    own = tmp_path / "touch_pins.py"
+    own.write_text("mine = 1\n")
+    answer = command("export", "skin", "--out", tmp_path / "touch.onnx")
+    assert answer.code == 2 and "touch_pins.py is there" in answer.err
+    assert own.read_text() == "mine = 1\n" and not (tmp_path / "touch.onnx").exists()
+
+
+def test_the_module_of_an_earlier_camera_goes(command, tmp_path):
+    file = tmp_path / "touch.onnx"
+    path = camera_pins.get_module_path(file)
+    path.write_text(camera_pins.HEADING.format(name=file.name, version="0"))
+    answer = command("export", "skin", "--out", file)
+    assert answer.code == 0 and not path.exists()
+    assert "name contacts of a camera by --like" in answer.out
