@@ -11,7 +11,7 @@ A result is stored on one line, with what pages show and quote (`shorten`). Left
 * digits after the sixth, but for settings;
 * of a sweep: figures of a single shape, and those of UNREAD; seeds of all figures but SEEDED;
   UNREAD_COSTS; the notes on metrics in all cells but the first, if they are equal;
-* of a run: errors by shape and depth, and further tests;
+* of a run: errors by shape and depth, and further tests, but for those of several tasks;
 * of rows: UNREAD_FIELDS, as the meaning of a measure, which the code has.
 
 Nothing else changes, the command least of all. A new checksum seals what is left.
@@ -98,7 +98,8 @@ def write_result(path: Path, result: Json) -> None:
 
 def shorten(result: Json) -> Json:
     """Return a result without what no page reads; see the module's docstring."""
-    short = {name: value for name, value in _round(result).items() if name not in UNREAD_PARTS}
+    unread = set(UNREAD_PARTS) - ({"tests"} if result.get("frames") else set())
+    short = {name: value for name, value in _round(result).items() if name not in unread}
     cells = short.get("cells", [])
     for cell in cells:
         for group in GROUPS & cell.keys():

@@ -29,6 +29,7 @@ TABLES = {
         recorded_tables.tabulate_few_labels,
         recorded_tables.tabulate_simulated_slides,
     ),
+    "docs/several-tasks.md": (recorded_tables.tabulate_tasks,),
     "docs/skin.md": (recorded_tables.tabulate_released_skin, recorded_tables.tabulate_transfer),
     "docs/unshear-or-directly.md": (
         partial(recorded_tables.tabulate_rivals, "rivals"),

@@ -10,6 +10,7 @@ from docs.reading import (
     format_seeds,
     load_cells,
     load_locked_scores,
+    load_result,
     load_rows,
     load_runs,
     start_table,
@@ -25,6 +26,15 @@ ROWS = {
     "slides, by a PoseNet that learnt from labelled slides": "pose/sheared_learnt",
     "unsheared less learnt directly": "difference/sheared_learnt",
 }
+TASK_ROWS = {
+    "taps": "tap",
+    "slides as recorded": "sheared",
+    "unsheared by a network that learnt from the other task": "others",
+    "unsheared by a network of the task alone": "own",
+    "**unsheared by the joint network**": "unsheared",
+    "slides, by a PoseNet that learnt from labelled slides": "sheared_learnt",
+}
+TASK_TITLES = {"edge_2d": "edge", "surface_3d": "surface"}
 OTHER = "other recordings (locked)"
 SHARES = ("0.01", "0.05", "0.1", "0.3", "1.0")
 UNLABELLED = ("left_out", "pseudo_label")
@@ -84,6 +94,25 @@ def tabulate_other_recordings() -> str:
         other = locked[f"coverage.unsheared.{target}"]
         coverages.append(f"{same_session:.1%} | {other:.1%}")
     lines.append(format_line("95 % half-widths of slides unsheared hold", coverages))
+    return "\n".join(lines)
+
+
+def tabulate_tasks() -> str:
+    """Tabulate errors on each task of a run about several, by network."""
+    tests = load_result("two_tasks")["tests"]
+    heads, digits = [], {}
+    for test, table in tests.items():
+        for target in table["pose_mae"]["unsheared"]:
+            heads.append(f"{TASK_TITLES[test]}: {_name_target(target)}")
+            digits[test, target] = 3 if target.endswith("_mm") else 2
+    lines = start_table(format_line("a PoseNet of the task reads", heads))
+    for label, kind in TASK_ROWS.items():
+        cells = []
+        for (test, target), count in digits.items():
+            value = tests[test]["pose_mae"][kind][target]
+            low, high = tests[test]["spread"]["pose_mae"][kind][target]
+            cells.append(f"{value:.{count}f} [{low:.{count}f}, {high:.{count}f}]")
+        lines.append(format_line(label, cells))
     return "\n".join(lines)
 
 
