@@ -84,6 +84,20 @@ def release(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
+def adapt(arguments: argparse.Namespace, command: str) -> int:
+    """Adapt a run to another day, and print how its pins stand there."""
+    from jaxunshear.adapt import adapt
+
+    moved = adapt(arguments.run, arguments.taps, arguments.out, arguments.data)
+    shift, rings = moved.shift_px, moved.ring_px
+    print(
+        f"pins stand ({shift[0]:.2f}, {shift[1]:.2f}) px elsewhere, turned by "
+        f"{moved.turn_deg:.2f} deg, and up to {abs(rings).max():.2f} px in or out"
+    )
+    print(arguments.out)
+    return 0
+
+
 def ablate(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.evaluation import code_swaps, codes, leakage
 
@@ -188,6 +202,17 @@ COMMANDS = (
         (
             path("run", "RUN_DIR", "folder of a finished run, such as runs/standard"),
             path("--out", "DIR", "a new folder; its name is the weights'", required=True),
+        ),
+    ),
+    Command(
+        "adapt",
+        "adapt a run over pins to another day or a moved camera, by labelled taps alone",
+        adapt,
+        (
+            path("run", "RUN_DIR", "folder of a finished run over pins, such as runs/fit"),
+            path("--taps", "DIR", "50 labelled taps or more of that day", required=True),
+            path("--out", "DIR", "a new folder, for the adapted run", required=True),
+            DATA,
         ),
     ),
     Command(

@@ -1,0 +1,147 @@
+"""Adapt a finished run over pins to another day by taps alone: `jaxunshear adapt`.
+
+>>> adapt(Path("runs/edge"), Path("recordings/monday_taps"), Path("runs/edge_monday"), data)
+
+The renderer says where the pins of each tap should stand. What they differ by on average, as a
+shift, a turn and a scale of each ring, moves the frame of all networks; nothing is trained.
+"""
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.experiment import uses_pins
+from jaxunshear.config.networks import POSENET, TRAINABLE
+from jaxunshear.config.serialization import check_finished_run, load_settings, to_json
+from jaxunshear.config.targets import read_true_values
+from jaxunshear.data.pairing import take_rows
+from jaxunshear.data.reader import Batch
+from jaxunshear.data.recorded_contacts import compute_digest, read_test_contacts
+from jaxunshear.data.recorded_frames import UnstoredSet, prepare_chunks
+from jaxunshear.data.recorded_set import RecordedSet
+from jaxunshear.data.sensor_frame import parse_frame
+from jaxunshear.data.sources import open_source
+from jaxunshear.errors import UserError
+from jaxunshear.files import read_object, write_json
+from jaxunshear.metrics import compute_pose_errors
+from jaxunshear.models import pin_networks, posenet
+from jaxunshear.results.record_files import read_record, write_record
+from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results
+from jaxunshear.training.checkpoint import FRAME_SHIFT, MODEL, load_network, move_network
+from jaxunshear.training.examples import FRAME, HelperLoader
+
+MIN_TAPS = 20
+
+
+class PinMotion(NamedTuple):
+    """How pins stand elsewhere than on the day of the training."""
+
+    motion_px: Float[np.ndarray, "P 2"]
+    shift_px: np.ndarray  # (2,)
+    turn_deg: float
+    ring_px: np.ndarray  # (R,) outwards, by ring
+
+
+class LabelledTaps(NamedTuple):
+    """Taps of another day, and the digest of their folder."""
+
+    rows: Batch
+    digest: str
+
+
+def fit_pin_motion(
+    motions: Float[np.ndarray, "N P 2"], rest: Float[np.ndarray, "P 2"], ring: np.ndarray
+) -> PinMotion:
+    """Fit a shift, a turn and a scale of each ring to the motions of pins, NaN where unknown."""
+    mean, offset = np.nanmean(motions, axis=0), rest - rest.mean(axis=0)
+    shift = np.nanmean(mean, axis=0)
+    across = np.stack([-offset[:, 1], offset[:, 0]], axis=-1)
+    turn = np.nansum((mean - shift) * across) / np.square(offset).sum()
+    length = np.linalg.norm(offset, axis=1, keepdims=True)
+    outwards = offset / np.where(length > 0, length, np.inf)
+    radial = ((mean - shift) * outwards).sum(axis=1)
+    ring_px = np.array([np.nanmean(radial[ring == number]) for number in range(ring.max() + 1)])
+    motion = shift + turn * across + ring_px[ring][:, None] * outwards
+    return PinMotion(motion, shift, float(np.degrees(turn)), ring_px)
+
+
+def adapt(run: Path, taps: Path, out: Path, data_dir: Path) -> PinMotion:
+    """Write the run to `out`, adapted to labelled taps of another day; return the pins' motion.
+
+    Half-widths grow by as much as PoseNet errs more on these taps than on the run's own. Raises
+    UserError, and then leaves nothing behind.
+    """
+    check_finished_run(run)
+    if out.exists():
+        raise UserError(f"--out {out} exists: name a new folder")
+    experiment = load_settings(run)
+    if not (uses_pins(experiment) and open_source(experiment).has_frame):
+        raise UserError(f"{run}: name a run that learnt from recorded pins")
+    if experiment.paired.has_parts:
+        raise UserError(f"{run} is about several tasks: name the folder of one, {run}/TASK")
+    rows, digest = _read_taps(cast(Recorded, experiment.paired), run, taps, data_dir)
+    render = HelperLoader(experiment, data_dir, run).load_renderer()
+    frame = read_object(run / FRAME)
+    place, ring = np.array(frame["place_px"]), np.array(frame["shell"])
+    moved = fit_pin_motion(rows["pins"] - render(rows["pose"]), place, ring)
+    part = out.with_name(f"{out.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    for folder in run.iterdir():
+        if folder.name in TRAINABLE and (folder / MODEL).is_file():
+            stored = read_object(folder / MODEL)
+            shift = np.array(stored.get(FRAME_SHIFT, (0.0, 0.0))) - moved.motion_px
+            changes = {"data": sorted({*stored["data"], digest})}
+            move_network(folder, part / folder.name, changes, shift.tolist())
+    write_json(part / FRAME, frame | {"place_px": (place + moved.motion_px).round(4).tolist()})
+    write_json(part / "experiment.json", to_json(replace(experiment, name=out.name)))
+    results = read_record(run / "results.json", Results, EVALUATE_REMEDY)
+    widths = _widen(results, _measure_tap_errors(part, rows))
+    write_record(part / "results.json", replace(results, half_width=widths, trained_in=run.name))
+    part.rename(out)
+    return moved
+
+
+def _read_taps(settings: Recorded, run: Path, taps: Path, data_dir: Path) -> "LabelledTaps":
+    """Read labelled taps whose pins are identified, and the digest of their folder."""
+    digest = compute_digest((str(taps),))
+    settings = replace(settings, tap_folder=str(taps), slide_folder="", digest=digest, pairs="")
+    contacts, stored_frame = read_test_contacts(settings), read_object(run / FRAME)
+    folder = Path(data_dir) / ".partial" / f"adapt-{digest}"
+    paths = prepare_chunks(contacts, settings, parse_frame(stored_frame), folder, f"read {taps}")
+    stored = RecordedSet(settings, UnstoredSet(contacts, paths, stored_frame))
+    rows = stored.read_labelled_taps("test")
+    shutil.rmtree(folder, ignore_errors=True)
+    rows = take_rows(rows, rows["sure"] == 1)
+    if len(rows["pose"]) < MIN_TAPS:
+        raise UserError(
+            f"{taps}: of {len(contacts.files)} taps {len(rows['pose'])} have a label and pins that "
+            f"are identified: record at least {MIN_TAPS}"
+        )
+    return LabelledTaps(rows, digest)
+
+
+def _measure_tap_errors(run: Path, rows: Batch) -> dict[str, float]:
+    """Measure the mean absolute error of PoseNet on taps, by quantity."""
+    net, variables, targets = load_network(run / POSENET)
+    outputs = pin_networks.predict(net, variables, jnp.asarray(rows["pins"]))
+    poses = posenet.unscale_outputs(outputs, targets)
+    predicted = {name: np.asarray(values) for name, values in poses.items()}
+    errors = compute_pose_errors(predicted, read_true_values(targets, rows))
+    return {name: float(np.mean(error)) for name, error in errors.items()}
+
+
+def _widen(results: Results, errors: Mapping[str, float]) -> FullTable:
+    """Widen the half-widths of all kinds by how much more PoseNet errs on the new taps."""
+    before = results.pose_mae["tap"]
+    factors = {name: max(1.0, error / (before[name] or error)) for name, error in errors.items()}
+    return {
+        kind: {name: width * factors.get(name, 1.0) for name, width in widths.items()}
+        for kind, widths in (results.half_width or {}).items()
+    }
