@@ -21,8 +21,11 @@ One row by itself, of seed 0 (`--seed 1` for another):
 
     jaxunshear run experiments/recorded.py --recordings DIR --unshear.input pins --name ROW OPTIONS
 
-OPTIONS are the first or second of these lines, and the third or fourth where a row's name says so:
+OPTIONS are the first two of these lines, the third or fourth, and the fifth or sixth where a row's
+name says so:
 
+    all rows                    --train_pins.optimiser adam --train_pins.learning_rate 3e-3
+    and                         --train_pins.epochs 100 --train_pins.validate_every 500
     dense                       --pins.conv_channels=
     convolving                  --pins.direct_conv_channels 24,48,96
     direct from rendered taps   --paired.direct_taps rendered

@@ -127,8 +127,12 @@ def test_the_commands_that_rivals_gives_make_its_rows():
     }
     given["dense, direct from rendered taps, too"] += f" --{given['dense']}"
     given["convolving, no pose labels in the loss"] += f" --{given['convolving']}"
+    lines = [line.split() for line in text.splitlines()]
+    shared = [word for line in lines if line[:1] in (["all"], ["and"]) for word in line]
+    trained = shared[shared.index("--train_pins.optimiser") :]
+    trained.remove("and")
     for label, words in given.items():
-        asked = ["--unshear.input", "pins", *SOMEWHERE, *f"--{words}".split()]
+        asked = ["--unshear.input", "pins", *SOMEWHERE, *trained, *f"--{words}".split()]
         made, row = override_fields(recorded, asked), cells[label].experiment
         assert replace(made, name="", claim="") == replace(row, name="", claim=""), label
 

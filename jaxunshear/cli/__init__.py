@@ -27,7 +27,8 @@ COMMANDS: dict[str, Command] = {
 }
 GROUPS = {  # of `jaxunshear --help`
     "use": (
-        *("doctor", "fit", "run", "data", "train", "evaluate", "report", "release", "export"),
+        *("doctor", "fit", "run", "data", "train", "evaluate", "adapt"),
+        *("report", "release", "export"),
         *("unshear", "pose"),
         *("pins", "stream", "geometry", "servo", "reconstruct", "explore", "sensors", "stimuli"),
     ),

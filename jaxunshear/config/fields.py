@@ -42,7 +42,7 @@ USUAL_NAMES = {
     **dict.fromkeys(("random_seed", "rng_seed"), "seed"),
     **dict.fromkeys(("mu", "friction_coefficient"), "friction"),
 }
-NOT_SETTABLE = ("config", "digest")  # they name settings and set none
+NOT_SETTABLE = ("config", "digest", "tasks")  # they name settings or folders, and set none
 
 
 def override_fields(experiment: Experiment, argv: Sequence[str]) -> Experiment:
