@@ -64,13 +64,10 @@ def _build_frames_section(results: Results) -> Markup:
 
 
 def _build_pages_section(results: Results) -> Markup:
-    link = '<a href="{}/report.html">{}</a>'
-    lines = []
-    for name in results.tests:
-        pages = [
-            Markup(link).format(place, title)
-            for place, title in ((name, "joint network"), (f"trained/{name}", "its own network"))
-        ]
-        lines.append(Markup("{}: {}").format(name, Markup(", ").join(pages)))
+    line = Markup(
+        '{0}: <a href="{0}/report.html">joint network</a>, '
+        '<a href="trained/{0}/report.html">its own network</a>'
+    )
+    lines = [line.format(name) for name in results.tests]
     lead = "Each folder can be used as a model, for pose, unshear, stream and export."
     return html.section("Pages of each task", lead, html.listed(lines, 0))

@@ -6,12 +6,12 @@ import pytest
 from jaxunshear.angles import rotation_2d
 from jaxunshear.config.sensor import FITTED_CAMERA, TACTIP_331_FITTED, Camera, Preprocess
 from jaxunshear.perception import touch
-from jaxunshear.perception.lattice import make_lattice
+from jaxunshear.perception.lattice import RIM_RINGS, make_lattice
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 
 LATTICE = compute_rest_lattice(TACTIP_331_FITTED, FITTED_CAMERA, Preprocess())
 GAUGE = touch.make_touch_gauge(LATTICE, TACTIP_331_FITTED)
-INNER = LATTICE.ring < LATTICE.ring.max() - touch.RIM_RINGS
+INNER = LATTICE.ring < LATTICE.ring.max() - RIM_RINGS
 
 
 def move(matrix, shift_px=(0.0, 0.0), noise_px=0.0):
