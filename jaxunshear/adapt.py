@@ -19,7 +19,7 @@ from jaxtyping import Float
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import uses_pins
 from jaxunshear.config.networks import POSENET, TRAINABLE
-from jaxunshear.config.serialization import check_finished_run, load_settings, to_json
+from jaxunshear.config.serialization import check_finished_run, load_task_settings, to_json
 from jaxunshear.config.targets import read_true_values
 from jaxunshear.data.pairing import take_rows
 from jaxunshear.data.reader import Batch
@@ -81,11 +81,9 @@ def adapt(run: Path, taps: Path, out: Path, data_dir: Path) -> PinMotion:
     check_finished_run(run)
     if out.exists():
         raise UserError(f"--out {out} exists: name a new folder")
-    experiment = load_settings(run)
+    experiment = load_task_settings(run)
     if not (uses_pins(experiment) and open_source(experiment).has_frame):
         raise UserError(f"{run}: name a run that learnt from recorded pins")
-    if experiment.paired.has_parts:
-        raise UserError(f"{run} is about several tasks: name the folder of one, {run}/TASK")
     rows, digest = _read_taps(cast(Recorded, experiment.paired), run, taps, data_dir)
     render = HelperLoader(experiment, data_dir, run).load_renderer()
     frame = read_object(run / FRAME)

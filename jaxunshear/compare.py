@@ -126,6 +126,8 @@ def _make_distinct_names(folders: Sequence[Path]) -> list[str]:
 def _read_run(name: str, folder: Path) -> Run:
     check_finished_run(folder)
     results = read_record(folder / "results.json", Results, EVALUATE_REMEDY)
+    if results.frames:
+        raise UserError(f"{folder} is about several tasks: name the folder of one, {folder}/TASK")
     outcome = Outcome(status="done", reason=None, results=results)
     seconds, data = {}, None
     for network in results.settings["networks"]:

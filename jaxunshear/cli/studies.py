@@ -14,7 +14,7 @@ from jaxunshear.cli.program import (
     path,
     write_measurement,
 )
-from jaxunshear.config.serialization import check_finished_run, check_unreleased, load_settings
+from jaxunshear.config.serialization import check_finished_run, check_unreleased, load_task_settings
 from jaxunshear.errors import UserError
 from jaxunshear.files import to_builtins, write_bytes, write_json
 from jaxunshear.output_checks import check_not_among
@@ -102,7 +102,7 @@ def ablate(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.evaluation import code_swaps, codes, leakage
 
     check_unreleased(arguments.run)
-    experiment = load_settings(arguments.run)
+    experiment = load_task_settings(arguments.run)
     if arguments.leakage:
         from jaxunshear.report.leakage_figure import plot_leakage
 

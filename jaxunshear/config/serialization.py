@@ -127,6 +127,17 @@ def check_finished_run(folder: Path) -> None:
         )
 
 
+def load_task_settings(model: Path) -> Experiment:
+    """Load the experiment of a folder that can be used as a model.
+
+    Raises UserError as `load_settings`, and for a run about several tasks.
+    """
+    experiment = load_settings(model)
+    if experiment.paired.has_parts:
+        raise UserError(f"{model} is about several tasks: name the folder of one, {model}/TASK")
+    return experiment
+
+
 def load_settings(model: Path) -> Experiment:
     """Load the experiment that a folder was made with. Raises UserError."""
     file = model / "experiment.json"

@@ -23,7 +23,7 @@ from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import ALL_NETWORKS, DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.config.sensor import Preprocess, Sensor
-from jaxunshear.config.serialization import find_model_folder, load_settings
+from jaxunshear.config.serialization import find_model_folder, load_task_settings
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.data.sensor_frame import (
@@ -358,7 +358,7 @@ def load_model(
     keep_freed_memory()
     folder = find_model_folder(Path(name))
     # networks are read when they are first used, perhaps from another working folder
-    model = TrainedModel(folder.absolute(), load_settings(folder), force=force)
+    model = TrainedModel(folder.absolute(), load_task_settings(folder), force=force)
     if model.source.has_frame:
         model.frame = parse_frame(read_object(folder / FRAME))
     elif model.reads_pins and like is not None:

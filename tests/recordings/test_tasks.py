@@ -63,10 +63,21 @@ def test_the_folder_of_a_task_is_a_model(run, folders):
         assert np.isfinite(list(poses["unsheared"].values())).all()
 
 
-def test_the_same_command_trains_nothing_twice(run, folders, place, command):
-    words = ["fit", "--recordings", *folders, "--name", run.name, *SHORT[2:]]
-    answer = succeed(command, *words, "--out", place / "runs", "--data", place / "datasets")
-    assert "images in" not in answer.out
+def test_a_model_is_the_folder_of_a_task(run, tmp_path, command):
+    lines = (
+        ("pose", tmp_path, "--model", run),
+        ("compare", run, run / "edge"),
+        ("ablate", run),
+        ("adapt", run, "--taps", tmp_path, "--out", tmp_path / "out"),
+    )
+    for words in lines:
+        answer = command(*words)
+        assert answer.code == 2 and f"name the folder of one, {run}/TASK" in answer.err
+
+
+def test_the_written_experiment_trains_nothing_twice(run, place, command):
+    file, words = run.with_suffix(".py"), ("--out", place / "runs", "--data", place / "datasets")
+    assert "images in" not in succeed(command, "train", file, *words).out
 
 
 def test_recordings_are_scored_as_the_task_whose_labels_vary(run, place, tmp_path, command):
