@@ -28,6 +28,11 @@ def tabulate_parted_skin_images() -> str:
     return _tabulate_leaks("parted_skin_images", "recorded, images")
 
 
+def tabulate_parted_leaks() -> str:
+    """Tabulate the leaks of codes of simulated pins."""
+    return _tabulate_leaks("parted", "simulated, pins")
+
+
 def _tabulate_leaks(name: str, head: str) -> str:
     """Tabulate R2 of the strongest probe for both leaks, beside its ceiling."""
     heads = [

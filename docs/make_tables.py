@@ -63,6 +63,7 @@ TABLES = {
         code_tables.tabulate_parted_skin_errors,
         code_tables.tabulate_parted_skin_images,
         code_tables.tabulate_parted_skin_images_errors,
+        code_tables.tabulate_parted_leaks,
         code_tables.tabulate_parted_pins,
         code_tables.tabulate_end_to_end,
         code_tables.tabulate_end_to_end_exchanged,
