@@ -16,7 +16,7 @@ from typing import NamedTuple, cast
 
 from jaxunshear.cluster import CallRunner, run_locally
 from jaxunshear.config.data import JOINT, Recorded, RecordedTasks
-from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.network_config import list_trained_networks, resolve_network
 from jaxunshear.config.networks import TRAINABLE
 from jaxunshear.config.serialization import load_settings
@@ -153,7 +153,7 @@ def _assemble(
     That network has the frame of the task `reference`.
     """
     own, target = run.folder / TRAINED / task.name, run.folder / place / task.name
-    shift = align_frames(run.read_frame(task), run.read_frame(reference))
+    shift = align_frames(run.read_frame(task), run.read_frame(reference)).shift.tolist()
     target.mkdir(parents=True, exist_ok=True)
     shutil.copy2(own / FRAME, target / FRAME)
     digests = open_source(learnt).list_test_digests()
@@ -171,7 +171,7 @@ def _assemble(
         origin = open_source(experiment).describe_origin(resolve_network(experiment, name))
         changes = {"origin": origin, "data": list_training_digests(learnt, name, None)}
         source = run.folder / TRAINED / learnt.name / name
-        move_network(source, target / name, changes, shift.shift.tolist())
+        move_network(source, target / name, changes, shift if uses_pins(task) else [])
     run.run(experiment, ("evaluate", "report"), place)
 
 

@@ -336,14 +336,14 @@ def _flatten(tree: object, prefix: str = "") -> Json:
 
 
 def move_network(source: Path, target: Path, changes: Json, shift: Sequence[float]) -> None:
-    """Copy a trained network over pins to frames whose pins get to its own by `shift` px.
+    """Copy a trained network to frames whose pins get to its own by `shift` px; none over images.
 
     `changes` replace fields of its model.json.
     """
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(source, target)
-    changed = files.read_object(source / MODEL) | changes | {FRAME_SHIFT: list(shift)}
-    files.write_json(target / MODEL, changed)
+    moved = {FRAME_SHIFT: list(shift)} if shift else {}
+    files.write_json(target / MODEL, files.read_object(source / MODEL) | changes | moved)
 
 
 class TrainedNetwork(NamedTuple):
