@@ -139,7 +139,7 @@ def _widen(results: Results, errors: Mapping[str, float]) -> FullTable:
     """Widen the half-widths of all kinds by how much more PoseNet errs on the new taps."""
     before = results.pose_mae["tap"]
     factors = {name: max(1.0, error / (before[name] or error)) for name, error in errors.items()}
-    return {
-        kind: {name: width * factors.get(name, 1.0) for name, width in widths.items()}
-        for kind, widths in (results.half_width or {}).items()
-    }
+    widened = {}
+    for kind, widths in (results.half_width or {}).items():
+        widened[kind] = {name: width * factors.get(name, 1.0) for name, width in widths.items()}
+    return widened

@@ -123,10 +123,14 @@ def join_readers(readers: Sequence[Reader], shifts: Sequence[FrameShift], size: 
             for other in range(len(readers)):
                 rows[name_pose_field(other)] = rows["pose"] if other == task else unknown
             parts.append(rows)
-        fields = set.intersection(*(set(part) for part in parts)) - {"others"}
-        return {field: np.concatenate([part[field] for part in parts]) for field in fields}
+        fields = set.intersection(*map(set, parts)) - {"others"}
+        return {field: _join(parts, field) for field in fields}
 
     return Reader(load, size)
+
+
+def _join(parts: Sequence[Batch], field: str) -> np.ndarray:
+    return np.concatenate([part[field] for part in parts])
 
 
 def name_pose_field(task: int) -> str:
@@ -137,11 +141,15 @@ def name_pose_field(task: int) -> str:
 def join_targets(targets: Sequence[Targets]) -> Targets:
     """Join the targets of all tasks; those of a task weigh as much as if they were alone."""
     joined: list[Target] = []
-    counts = [sum(target.outputs for target in own) for own in targets]
+    counts = list(map(_count_outputs, targets))
     for task, own in enumerate(targets):
         share, field = sum(counts) / counts[task], name_pose_field(task)
         joined += [replace(each, field=field, weight=share * each.weight) for each in own]
     return tuple(joined)
+
+
+def _count_outputs(targets: Targets) -> int:
+    return sum(target.outputs for target in targets)
 
 
 def average_layouts(frames: Sequence[Json], shifts: Sequence[FrameShift]) -> PinLayout:

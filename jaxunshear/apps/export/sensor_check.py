@@ -173,9 +173,11 @@ def add_pin_plausibility(graph: Graph, check: SensorCheck, pins: Value) -> Value
     even = graph.add("Mul", known, graph.add("Cast", is_even, to=FLOAT))
     centred = check.rest - check.rest.mean(axis=0)
     place = graph.add("Mul", known, graph.add("Add", motion, centred))
-    column, row = (
-        total(graph.add("Gather", place, np.array([axis]), axis=2), 1) for axis in (0, 1)
-    )
+
+    def total_axis(axis: int) -> Value:
+        return total(graph.add("Gather", place, np.array([axis]), axis=2), 1)
+
+    column, row = total_axis(0), total_axis(1)
 
     def flatten(values: Value) -> Value:  # (B, 1) -> (B,)
         return total(values, 1)
@@ -199,7 +201,9 @@ def _add_plausibility(
     graph: Graph, check: SensorCheck, count: Value, even: Value, moments: _Moments
 ) -> Value:
     some = graph.add("Max", count, np.float32(1))
-    column, row, square = (graph.add("Div", each, some) for each in moments)
+    column = graph.add("Div", moments.column, some)
+    row = graph.add("Div", moments.row, some)
+    square = graph.add("Div", moments.square, some)
     shift = graph.add("Add", graph.add("Mul", column, column), graph.add("Mul", row, row))
     spread = graph.add("Max", graph.add("Sub", square, shift), TINY)
     centred = check.rest - check.rest.mean(axis=0)
@@ -245,10 +249,12 @@ def _find_inside(check: SensorCheck) -> np.ndarray:
 
 
 def _add_even_peaks(graph: Graph, check: SensorCheck, peaks: Value) -> Value:
-    near, around = (
-        _add_both_sides(graph, _measure_distances(check.size) <= limit * check.spacing, peaks)
-        for limit in EVEN_RANGE
-    )
+
+    def count_within(limit: float) -> Value:
+        is_near = _measure_distances(check.size) <= limit * check.spacing
+        return _add_both_sides(graph, is_near, peaks)
+
+    near, around = count_within(EVEN_RANGE[0]), count_within(EVEN_RANGE[1])
     low, high = NEIGHBOURS_RANGE
     is_even = graph.add("LessOrEqual", near, np.float32(1))  # itself
     for op, limit in (("GreaterOrEqual", 1 + low), ("LessOrEqual", 1 + high)):
