@@ -11,7 +11,7 @@ A result is stored on one line, with what pages show and quote (`shorten`). Left
 * digits after the sixth, but for settings;
 * of a sweep: figures of a single shape, and those of UNREAD; seeds of all figures but SEEDED;
   UNREAD_COSTS; the notes on metrics in all cells but the first, if they are equal;
-* of a run: errors by shape and depth, and further tests, but for those of several tasks;
+* of a run: errors by shape and depth; further tests, but not the tests of a run about tasks;
 * of rows: UNREAD_FIELDS, as the meaning of a measure, which the code has.
 
 Nothing else changes, the command least of all. A new checksum seals what is left.

@@ -2,7 +2,7 @@
 
 python examples/robot.py touch.onnx frames.npy      # (N, ...) of what the model takes: frames, prepared images, or pins
 
-Where touch_pins.py stands beside a touch.onnx that takes pins, it finds these in frames; it needs scipy, scikit-image and threadpoolctl.
+If touch.onnx takes pins, `export` has written touch_pins.py beside it. That module finds the pins in frames, and needs scipy, scikit-image and threadpoolctl.
 """
 
 import importlib

@@ -61,7 +61,7 @@ BASE_EXPERIMENT = Experiment(
         validate_every=250,
         validation_images=512,
     ),
-    # as good as 100 epochs of Adam, by validation contacts of an edge
+    # chosen on validation contacts of an edge
     train_pins=replace(
         PIN_TRAINING, epochs=25, optimiser="muon", learning_rate=1e-2, validate_every=250
     ),

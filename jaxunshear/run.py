@@ -4,7 +4,6 @@ Every stage writes its work to one folder and finds it there again, so the same 
 stopped run.
 """
 
-import pkgutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -49,23 +48,6 @@ def run_stages(
         command: the command line, which the results state.
         run_calls: how the simulation of data is run, in one process or several.
     """
-    if runner := open_source(experiment).runner:
-        results: Results | None = pkgutil.resolve_name(runner)(
-            experiment, stages, out, data, command, run_calls
-        )
-        return results
-    return run_own_stages(experiment, stages, out, data, command, run_calls)
-
-
-def run_own_stages(
-    experiment: Experiment,
-    stages: tuple[str, ...],
-    out: Path,
-    data: Path,
-    command: str,
-    run_calls: CallRunner = run_locally,
-) -> Results | None:
-    """Run `stages` as `run_stages`, whatever parts the experiment has."""
     for network in TRAINABLE:
         if network in stages:
             start_folder(experiment, network)  # raises before data are made for nothing

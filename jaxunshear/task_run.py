@@ -29,7 +29,7 @@ from jaxunshear.evaluation.result_tables import finish_results
 from jaxunshear.files import Json, read_object
 from jaxunshear.results.record_files import read_record, read_times, write_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FurtherTest, Results, TaskFrame
-from jaxunshear.run import run_own_stages, run_stages
+from jaxunshear.run import run_stages
 from jaxunshear.training.checkpoint import move_network, read_targets
 from jaxunshear.training.examples import FRAME
 from jaxunshear.training.provenance import list_training_digests
@@ -76,7 +76,7 @@ def run_tasks(
     assert isinstance(source, TaskSource)  # whose runner this is
     run = _TaskRun(experiment, source, Path(out) / experiment.name, Path(data), command, run_calls)
     tasks, is_trained = source.list_parts(), not TRAINABLE.isdisjoint(stages)
-    run_own_stages(experiment, (), out, data, command, run_calls)  # writes its settings
+    run_stages(experiment, (), out, data, command, run_calls)  # writes its settings
     for task in tasks:
         networks = list_trained_networks(task) if is_trained else ()
         run.run(task, ("data", *networks) if "data" in stages or is_trained else (), TRAINED)
@@ -124,7 +124,7 @@ def _train(run: _TaskRun, name: str, tasks: list[Experiment]) -> Experiment:
     experiment = replace(run.experiment, name=name, paired=paired)
     out = run.folder / TRAINED
     networks = list_trained_networks(experiment)
-    run_own_stages(experiment, networks, out, run.data, run.command, run.run_calls)
+    run_stages(experiment, networks, out, run.data, run.command, run.run_calls)
     return experiment
 
 

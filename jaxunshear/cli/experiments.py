@@ -1,6 +1,7 @@
 """Commands that take an experiment: run, data, train, evaluate, fit; and sweep."""
 
 import argparse
+import pkgutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -80,10 +81,11 @@ def handle_stages(arguments: argparse.Namespace, command: str) -> int:
     for stage in STAGES[arguments.command]:
         stages += networks if stage == NETWORKS else [stage]
     from jaxunshear.cluster import make_ray_runner, run_locally
+    from jaxunshear.data.sources import open_source
     from jaxunshear.environment import keep_freed_memory
-    from jaxunshear.run import run_stages
 
     keep_freed_memory()
+    run_stages = pkgutil.resolve_name(open_source(experiment).runner)
     results = run_stages(
         experiment,
         tuple(stages),

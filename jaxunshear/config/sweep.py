@@ -123,6 +123,8 @@ def list_changed_fields(sweep: Sweep) -> list[str]:
 def check_sweep(sweep: Sweep, source: str) -> None:
     """Raise UserError, naming `source` and field, for a bad sweep; rows are checked later."""
     _check_form(sweep, source)
+    if sweep.base.paired.has_parts:
+        raise UserError(f"{source} is about several tasks: a sweep takes one")
     validate(dataclasses.replace(get_base(sweep), name=sweep.name))
     for field in (*list_varied_fields(sweep), *list_changed_fields(sweep)):
         replace_field(sweep.base, field, None)  # raises UserError for an unknown name

@@ -20,6 +20,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
 RANGE, CIRCLE = "range", "circle"
+TASK_POSE = "pose_"  # begins the fields of `name_pose_field`
 SIMULATED_FIELDS = {  # name: the field of a simulated set and its column
     "x_mm": ("pose", 0),
     "y_mm": ("pose", 1),
@@ -241,6 +242,16 @@ def _make_targets(
         middle, reach = (0.0, 1.0) if is_circular else ((low + high) / 2, (high - low) / 2)
         targets.append(Target(name, *fields[name], middle, reach, is_circular, weight))
     return tuple(targets)
+
+
+def name_pose_field(task: int) -> str:
+    """Name the field with the poses of one of several tasks, NaN in contacts of another."""
+    return f"{TASK_POSE}{task}"
+
+
+def are_of_tasks(targets: Targets) -> bool:
+    """Return whether targets are of several tasks, so that a contact has labels of some alone."""
+    return any(target.field.startswith(TASK_POSE) for target in targets)
 
 
 def list_label_fields(targets: Targets) -> tuple[str, ...]:

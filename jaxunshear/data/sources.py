@@ -99,8 +99,8 @@ class DataSource:
     predicts_directly: ClassVar[bool] = True
     # whether a run keeps what the frames of its sensor have in common (`read_frame`)
     has_frame: ClassVar[bool] = False
-    # a function with the arguments of `run_stages`, as `module:function`, that runs them instead
-    runner: ClassVar[str] = ""
+    # the function that runs the stages of an experiment, as `module:function`
+    runner: ClassVar[str] = "jaxunshear.run:run_stages"
 
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment

@@ -19,7 +19,7 @@ from jaxunshear.config.data import Recorded, RecordedTasks
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import NetworkConfig
 from jaxunshear.config.networks import POSENET, POSENET_SHEARED, select_networks
-from jaxunshear.config.targets import Target, Targets, make_move_targets
+from jaxunshear.config.targets import Target, Targets, make_move_targets, name_pose_field
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_source import RecordedSource, read_pin_layout
 from jaxunshear.data.sources import DataSource, Examples, Helpers, PinLayout
@@ -131,11 +131,6 @@ def join_readers(readers: Sequence[Reader], shifts: Sequence[FrameShift], size: 
 
 def _join(parts: Sequence[Batch], field: str) -> np.ndarray:
     return np.concatenate([part[field] for part in parts])
-
-
-def name_pose_field(task: int) -> str:
-    """Name the field with the poses of one task, NaN in contacts of another."""
-    return f"pose_{task}"
 
 
 def join_targets(targets: Sequence[Targets]) -> Targets:

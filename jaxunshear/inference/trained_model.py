@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -71,6 +72,18 @@ from jaxunshear.training.checkpoint import TrainedNetwork, has_model, load_netwo
 from jaxunshear.training.examples import FRAME
 
 PREFERRED_POSENETS = (POSENET, POSENET_SHEARED)
+
+
+class _PredictedBatch(NamedTuple):
+    """The first fields of `Predictions`, and the touch of images where it is measured."""
+
+    unsheared: np.ndarray | None
+    poses: Poses
+    pins: dict[str, np.ndarray]
+    rejection: np.ndarray
+    confidence: np.ndarray
+    touch: Touch
+    measured: np.ndarray  # (B,) bool
 
 
 @dataclass(eq=False, repr=False)
@@ -294,17 +307,18 @@ class TrainedModel:
 
     def predict(self, images: np.ndarray) -> Predictions:
         """Unshear and predict poses, with a confidence, or a reason why there are none."""
-        answers, touch, measured = self._run_in_batches(images, self._predict_batch)
+        batch = self._run_in_batches(images, self._predict_batch)
         # networks over images need no pins, and tracking these takes as long as all else
-        left = check_images(images, self.size)[~measured]  # a copy: a camera reuses its array
-        measure_touch = cache(partial(self.touch_reader.measure_rows, left, ~measured, touch))
-        unsheared, poses, pins, reasons, confidence = answers
-        for kind, pose in poses.items():  # JAX has sorted the quantities by name
+        rest = ~batch.measured
+        left = check_images(images, self.size)[rest]  # a copy: a camera reuses its array
+        measure_touch = cache(partial(self.touch_reader.measure_rows, left, rest, batch.touch))
+        poses = {}
+        for kind, pose in batch.poses.items():  # JAX has sorted the quantities by name
             poses[kind] = {name: pose[name] for name in self.targets if name in pose}
-        return Predictions(unsheared, poses, pins, reasons, confidence, measure_touch)
+        answers = batch.unsheared, poses, batch.pins, batch.rejection, batch.confidence
+        return Predictions(*answers, measure_touch)
 
-    def _predict_batch(self, images: np.ndarray) -> tuple[Tree, Touch, np.ndarray]:
-        """Return what `Predictions` begin with, and the touch of images where it is measured."""
+    def _predict_batch(self, images: np.ndarray) -> "_PredictedBatch":
         inputs = self.reader.read(images)
         judged = judge_batch(images, inputs.identified, self.appearance, self.force)
         touch, measured = self.touch_reader.measure_some(images, inputs.pins, judged, self.force)
@@ -318,7 +332,7 @@ class TrainedModel:
 
         confidence = judged.plausibility * compute_confidences(outputs.unsheared) * (reasons == "")
         unsheared, poses, pins = jax.tree.map(keep_accepted_rows, outputs)
-        return (unsheared, poses, pins, reasons, confidence), touch, measured
+        return _PredictedBatch(unsheared, poses, pins, reasons, confidence, touch, measured)
 
     def compile(self, batch: int) -> None:
         """Load the networks and compile them for this many images."""

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxunshear.config.targets import Targets
+from jaxunshear.config.targets import Targets, are_of_tasks
 from jaxunshear.config.training import Training
 from jaxunshear.models import distances, pin_networks, posenet
 from jaxunshear.models.modality import Batch, Modality
@@ -88,7 +88,8 @@ def compute_pose_tap_term(inputs: PairInputs) -> Array:
 def _compare_pose(inputs: PairInputs, target: Array) -> Array:
     weights = posenet.list_output_weights(inputs.targets)
     outputs = _get(inputs.teacher)(inputs.unsheared)
-    target = jnp.where(jnp.isnan(target), outputs, target)
+    if are_of_tasks(inputs.targets):
+        target = jnp.where(jnp.isnan(target), outputs, target)
     return inputs.modality.compute_pose_loss(outputs, target, weights)
 
 

@@ -44,7 +44,7 @@ Needs numpy, scipy, scikit-image and threadpoolctl alone.
 
 
 class CameraReading(NamedTuple):
-    """What pins show of one frame."""
+    """The pins of a frame, and the contact that they show."""
 
     inputs: np.ndarray  # (1, P, 2) px, float32: of the exported file; NaN where there is a reason
     pins: np.ndarray  # (P, 2) px of the prepared image, NaN for one that is not seen
