@@ -87,6 +87,18 @@ class Predictions(NamedTuple):
         return self.measure_touch()
 
 
+class PredictedBatch(NamedTuple):
+    """The first fields of `Predictions`, and the touch of images where it is measured."""
+
+    unsheared: np.ndarray | None
+    poses: Poses
+    pins: dict[str, np.ndarray]
+    rejection: np.ndarray
+    confidence: np.ndarray
+    touch: Touch
+    measured: np.ndarray  # (B,) bool
+
+
 class Codes(NamedTuple):
     """Latent codes of B images, each code as a row of numbers."""
 

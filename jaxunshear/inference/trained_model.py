@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -49,6 +48,7 @@ from jaxunshear.inference.readers import (
     ImageReader,
     PinReader,
     Poses,
+    PredictedBatch,
     Predictions,
     Reader,
     TouchReader,
@@ -72,18 +72,6 @@ from jaxunshear.training.checkpoint import TrainedNetwork, has_model, load_netwo
 from jaxunshear.training.examples import FRAME
 
 PREFERRED_POSENETS = (POSENET, POSENET_SHEARED)
-
-
-class _PredictedBatch(NamedTuple):
-    """The first fields of `Predictions`, and the touch of images where it is measured."""
-
-    unsheared: np.ndarray | None
-    poses: Poses
-    pins: dict[str, np.ndarray]
-    rejection: np.ndarray
-    confidence: np.ndarray
-    touch: Touch
-    measured: np.ndarray  # (B,) bool
 
 
 @dataclass(eq=False, repr=False)
@@ -318,7 +306,7 @@ class TrainedModel:
         answers = batch.unsheared, poses, batch.pins, batch.rejection, batch.confidence
         return Predictions(*answers, measure_touch)
 
-    def _predict_batch(self, images: np.ndarray) -> "_PredictedBatch":
+    def _predict_batch(self, images: np.ndarray) -> PredictedBatch:
         inputs = self.reader.read(images)
         judged = judge_batch(images, inputs.identified, self.appearance, self.force)
         touch, measured = self.touch_reader.measure_some(images, inputs.pins, judged, self.force)
@@ -332,7 +320,7 @@ class TrainedModel:
 
         confidence = judged.plausibility * compute_confidences(outputs.unsheared) * (reasons == "")
         unsheared, poses, pins = jax.tree.map(keep_accepted_rows, outputs)
-        return _PredictedBatch(unsheared, poses, pins, reasons, confidence, touch, measured)
+        return PredictedBatch(unsheared, poses, pins, reasons, confidence, touch, measured)
 
     def compile(self, batch: int) -> None:
         """Load the networks and compile them for this many images."""
