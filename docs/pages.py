@@ -3,12 +3,17 @@
 README becomes the first page, and files at the top of the repository become pages.
 """
 
+import argparse
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+
+from jaxunshear.cli import GROUPS, make_parser
+from jaxunshear.cli.fields import format_field_help, list_group_names
 
 ROOT = Path(__file__).resolve().parents[1]
 TOP = {
@@ -31,6 +36,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages at the top of the repository, and the files that pages lead to."""
     for source, page in TOP.items():
         files.append(File.generated(config, page, content=(ROOT / source).read_text()))
+    content = "\n".join(format_options())
+    files.append(File.generated(config, "reference/options.md", content=content))
     for path in (
         *ROOT.glob("experiments/**/*.py"),
         *ROOT.glob("examples/*.*"),
@@ -44,6 +51,23 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         else:
             files.append(File.generated(config, f"{name}.txt", content=path.read_text()))
     return files
+
+
+def format_options() -> Iterator[str]:
+    """Format the page of all options of the commands, and of all fields of an experiment."""
+    yield "# All options\n\nThis page is made from the code: each command's `--help-all`, and the"
+    yield "fields of an experiment as `--help-fields GROUP` gives them.\n"
+    subparsers = make_parser(help_all=True)._subparsers
+    (action,) = subparsers._group_actions
+    for group, names in GROUPS.items():
+        yield f"## Commands: {group}\n"
+        for name in names:
+            text = argparse.ArgumentParser.format_help(action.choices[name])
+            yield f"### {name}\n\n```text\n{text.rstrip()}\n```\n"
+    yield "## Fields of an experiment\n"
+    for group in list_group_names():
+        title = f"--{group}." if group else "no group"
+        yield f"### {title}\n\n```text\n{format_field_help(group)}\n```\n"
 
 
 def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files) -> str:

@@ -84,16 +84,15 @@ def bad_commands(tmp_path: Path) -> list[tuple[list, str]]:
         (folder / "experiment.json").write_text(text)
     out = ("--out", tmp_path / "out")
     return [
-        ([], "required: COMMAND"),
         (["dance"], "there is no command 'dance'; see"),
-        (["run"], "required: FILE"),
+        (["run"], "required: EXPERIMENT"),
         (["run", tmp_path / "none.py"], "does not exist"),
         (["run", tmp_path], "is a folder"),
         (["run", image], "not text"),
         (["train", DEMO, "--network", "resnet"], "--network"),
         (["train", DEMO, "--json", tmp_path / "x"], "--json"),
         (["run", DEMO, "--out"], "--out"),
-        (["report"], "RUN_DIR"),
+        (["report"], "MODEL"),
         (["report", tmp_path / "none"], "no results.json"),
         (["unshear", image, "--model", run], "--out"),
         (["unshear", tmp_path / "none.png", "--model", run, *out], "none.png does not exist"),
@@ -244,9 +243,13 @@ def test_help_and_refusals_import_nothing_heavy():
 
 
 def test_help_lists_every_field(command):
-    text = command("run", "--help").out
-    for name in ("--paired.ranges.{lateral_mm,", "--train.{epochs,", "--sensor.{name,"):
-        assert name in text
+    brief, text = command("run", "--help").out, command("run", "--help-all").out
+    for name in (
+        *("--paired.ranges.{lateral_mm,", "--train.{epochs,", "--sensor.{name,"),
+        "--ray-cores N",
+    ):
+        assert name in text and name not in brief
+    assert "`jaxunshear run --help-all`" in brief and "--help-all`" not in text
 
 
 def test_every_stage_of_a_command_is_one_of_run():
@@ -297,6 +300,7 @@ def test_help_on_fields_of_a_group_that_a_file_lacks_is_refused(command):
 
 def test_help_names_each_command_once(command):
     shown = command("--help").out
+    assert (command().code, command().out) == (0, shown)
     for name in cli.COMMANDS:
         assert len(re.findall(rf"^  {name} ", shown, re.M)) == 1, name
 

@@ -12,7 +12,14 @@ from textwrap import wrap
 from jaxunshear import __version__
 from jaxunshear.cli import apps, experiments, models, studies
 from jaxunshear.cli.fields import format_field_help, split_help_request
-from jaxunshear.cli.program import Command, Parser, check_json, parse, report_errors
+from jaxunshear.cli.program import (
+    HELP_ALL,
+    Command,
+    Parser,
+    check_json,
+    parse,
+    report_errors,
+)
 from jaxunshear.code_version import read_source
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import list_field_types, parse_overrides, split_overrides
@@ -26,13 +33,15 @@ COMMANDS: dict[str, Command] = {
     for command in module.COMMANDS
 }
 GROUPS = {  # of `jaxunshear --help`
-    "use": (
-        *("doctor", "fit", "run", "data", "train", "evaluate", "adapt"),
-        *("report", "release", "export"),
-        *("unshear", "pose"),
-        *("pins", "stream", "geometry", "servo", "reconstruct", "explore", "sensors", "stimuli"),
+    "use": ("unshear", "pose", "pins", "stream", "export"),
+    "train": (
+        *("doctor", "fit", "run", "data", "train", "evaluate", "report", "adapt", "release"),
     ),
-    "study": ("sweep", "compare", "ablate", "validate", "calibrate"),
+    "simulate": (
+        *("explore", "servo", "reconstruct", "geometry", "validate", "calibrate"),
+        *("sensors", "stimuli"),
+    ),
+    "study": ("sweep", "compare", "ablate"),
 }
 USUAL_COMMANDS = {  # what other tools, or earlier versions, call a command: what to type instead
     **dict.fromkeys(("eval", "test", "score"), ("evaluate",)),
@@ -47,7 +56,7 @@ USUAL_COMMANDS = {  # what other tools, or earlier versions, call a command: wha
 FIELDS_HELP = """
 fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, \
 --train.drops 40:0.2,80:0.1;
---help-fields train (or another group) says what each takes and means, with its value in FILE:
+--help-fields train (or another group) says what each takes and means, with its value in EXPERIMENT:
 """
 
 
@@ -87,7 +96,7 @@ class _GroupedParser(_CommandParser):
             f"usage: {self.prog} COMMAND ...",
             "",
             self.description or "",
-            "`COMMAND --help` says more.",
+            "`jaxunshear COMMAND --help` shows its options.",
         ]
         for group, names in GROUPS.items():
             lines += ["", group]
@@ -97,15 +106,17 @@ class _GroupedParser(_CommandParser):
         return "\n".join(lines) + "\n"
 
 
-def make_parser() -> Parser:
-    """Make the parser of all commands."""
-    parser = _GroupedParser(prog="jaxunshear", description="Takes the shear out of touch.")
+def make_parser(help_all: bool = False) -> Parser:
+    """Make the parser of all commands; `help_all`: its help shows the rare options, too."""
+    parser = _GroupedParser(
+        prog="jaxunshear", description="Remove shear from images of optical tactile sensors."
+    )
     parser.add_argument("--version", action="version", version=f"jaxunshear {__version__}")
     parsers = parser.add_subparsers(
         dest="command", metavar="COMMAND", required=True, parser_class=_CommandParser
     )
     for command in COMMANDS.values():
-        command.add_to(parsers)
+        command.add_to(parsers, help_all)
     return parser
 
 
@@ -114,7 +125,7 @@ def _split_fields(command: Command, argv: Sequence[str]) -> tuple[list[str], lis
 
     Raises UserError for a field that is unknown.
     """
-    flags = {"-h", "--help"}  # options that no value follows
+    flags = {"-h", "--help", HELP_ALL}  # options that no value follows
     options = set(flags)
     for other in COMMANDS.values():
         if other.run is command.run:  # an option of these is none of the experiment's fields
@@ -147,7 +158,7 @@ def _check_names(words: Sequence[str]) -> None:
     options = [name for name, _ in command.list_options() if name[0] == "-"]
     for word in words:
         name = word.partition("=")[0]
-        if name.startswith("--") and name not in ("--", "--help", *options):
+        if name.startswith("--") and name not in ("--", "--help", HELP_ALL, *options):
             hint = _suggest(name, options) or f"; see `jaxunshear {command.name} --help`"
             raise UserError(f"`{command.name}` takes no {name}{hint}")
 
@@ -155,6 +166,9 @@ def _check_names(words: Sequence[str]) -> None:
 def _run(argv: list[str]) -> int:
     fields: list[str] = []
     words, command = argv, _find_command(argv)
+    if not argv:
+        print(make_parser().format_help(), end="")
+        return 0
     if command and command.takes_fields:
         request = split_help_request(argv)
         words, fields = _split_fields(command, request[1] if request else argv)
@@ -164,7 +178,9 @@ def _run(argv: list[str]) -> int:
             print(format_field_help(group, experiment))
             return 0
     _check_names(words)
-    arguments = parse(make_parser(), words)
+    help_all = HELP_ALL in words
+    words = ["--help" if word == HELP_ALL else word for word in words]
+    arguments = parse(make_parser(help_all), words)
     if arguments is None:
         return 0
     command = COMMANDS[arguments.command]

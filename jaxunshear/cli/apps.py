@@ -181,7 +181,7 @@ def explore(arguments: argparse.Namespace, command: str) -> int:
 COMMANDS = (
     Command(
         "stream",
-        "perception for a robot: frames in; pose and confidence out, a JSON line each",
+        "estimate poses live from a camera, a video or a folder: one JSON line a frame",
         stream,
         (
             option(
@@ -199,45 +199,51 @@ COMMANDS = (
                 "ask the camera for this rate; a folder or video is played at it",
                 type=float,
             ),
-            option("--exposure", "N", "set the camera's, in its own unit", type=float),
-            flag("--filter", "smooth poses over time, too, and give their rates"),
-            path("--lines", "FILE", "for the JSON lines (default: standard output)"),
-            path("--images", "DIR", "for unsheared images; - puts them into the lines"),
+            option("--exposure", "N", "exposure of the camera, in its own unit", type=float),
+            flag("--filter", "also smooth poses over time, and give their rates"),
+            path("--lines", "FILE", "file for the JSON lines (default: standard output)"),
+            path("--images", "DIR", "folder for unsheared images; - puts them into the lines"),
             json_file("the summary, with command, machine and versions"),
         ),
         checks_out=False,
     ),
     Command(
         "export",
-        "a trained model as one file for a robot's computer: ONNX, or StableHLO",
+        "export a model to ONNX or StableHLO",
         export,
         (
             path(
                 "model",
                 "MODEL",
-                "a finished run (runs/demo), or released weights by name (standard)",
+                "a finished run (runs/demo), or released weights by name (skin)",
             ),
             path(
-                "--out", "FILE", "its name ends in .onnx or .stablehlo", dest="file", required=True
+                "--out",
+                "FILE",
+                "new file; its name ends in .onnx or .stablehlo",
+                dest="file",
+                required=True,
             ),
-            option("--batch", "N", "how many images it takes at once (any)", default="any"),
+            option(
+                "--batch", "N", "images that the file takes at once (default: any)", default="any"
+            ),
             path(
                 "--preprocess",
-                "FRAMES",
-                "the file takes frames of a camera as they come; "
-                "these show their size and where the dome stands",
+                "RECORDINGS",
+                "the file takes raw frames of a camera; "
+                "these frames show their size and the dome's place",
             ),
             path(
                 "--like",
-                "DIR",
-                "contacts of the camera whose mean shows where pins stand, "
+                "RECORDINGS",
+                "contacts of the camera, whose mean gives the pins' rest positions, "
                 "for networks over pins that learnt from simulation alone",
             ),
         ),
     ),
     Command(
         "explore",
-        "press and slide the dome over a shape with the mouse, on a page of this machine",
+        "press and slide the dome over a shape in the browser",
         explore,
         (
             MODEL,
@@ -245,9 +251,9 @@ COMMANDS = (
             option(
                 "--stimulus",
                 "FILE,FILE",
-                "outlines in files (.svg, .csv, .json) to be touched, too",
+                "more shapes: outlines in files (.svg, .csv, .json)",
             ),
-            integer("--port", "of this machine alone (8080)", 8080),
+            integer("--port", "port, for this machine alone (default: 8080)", 8080),
         ),
     ),
 )

@@ -14,6 +14,7 @@ from jaxunshear.cli.program import (
     flag,
     integer,
     json_file,
+    mark_rare,
     option,
     path,
 )
@@ -48,6 +49,7 @@ STAGES = {
     "run": ("data", NETWORKS, "evaluate", "report"),
     "fit": ("data", NETWORKS, "evaluate", "report"),
 }
+FIT_USAGE = "--taps RECORDINGS --slides RECORDINGS | --recordings RECORDINGS ..."
 DEFAULT_RAY_CORES = 2  # for each row or chunk
 
 
@@ -103,7 +105,7 @@ def handle_stages(arguments: argparse.Namespace, command: str) -> int:
 
 
 def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experiment:
-    """Return the experiment of FILE with fields changed, before it is checked.
+    """Return the experiment of a file with fields changed, before it is checked.
 
     It has no recordings yet.
     """
@@ -243,7 +245,7 @@ def _read_engine_options(arguments: argparse.Namespace) -> tuple[str | None, int
 def _list_engine_options(piece: str) -> tuple[Option, ...]:
     """List the options of who runs the pieces of a command."""
     text = f"run one {piece} after the other, or all over a Ray cluster (default: serial)"
-    return (
+    return mark_rare(
         ("--engine", {"choices": ("serial", "ray"), "default": "serial", "help": text}),
         option(
             "--ray-address", "ADDRESS", "address of a Ray cluster (default: one on this machine)"
@@ -263,26 +265,31 @@ OUT = path(
 SUBJECT = (  # the recordings and the sensor that an experiment in a file is about
     path(
         "--recordings",
-        "DIR",
+        "RECORDINGS",
         "folder of recordings, for an experiment such as experiments/recorded.py",
     ),
     path(
         "--sensor-from",
         "FILE",
-        "a calibration.json of `jaxunshear calibrate`: its sensor, camera and friction "
-        "in the simulated experiment",
+        "a calibration.json of `jaxunshear calibrate`: simulate its sensor, camera and friction",
     ),
 )
-BASE = (path("file", "FILE", "a Python file, such as experiments/demo.py"), OUT, DATA, *SUBJECT)
+BASE = (
+    path("file", "EXPERIMENT", "a Python file, such as experiments/demo.py"),
+    *(OUT, DATA, *SUBJECT),
+)
 SIMULATION = _list_engine_options("chunk of contacts")
 OPTIONS: dict[str, tuple[str, tuple[Option, ...]]] = {
     "run": (
-        "all of the next three and the report; continues where a stopped run left off",
+        "run an experiment from its data to its report; a stopped run continues",
         (*BASE, json_file(), *SIMULATION),
     ),
-    "data": ("make the data sets: simulate contacts, or read recordings", (*BASE, *SIMULATION)),
+    "data": (
+        "only make the data sets of an experiment: simulate contacts, or read recordings",
+        (*BASE, *SIMULATION),
+    ),
     "train": (
-        "train the networks",
+        "only train the networks of an experiment",
         (
             *BASE,
             option(
@@ -291,34 +298,43 @@ OPTIONS: dict[str, tuple[str, tuple[Option, ...]]] = {
         ),
     ),
     "evaluate": (
-        "measure the networks on held-out poses, or those of a finished run on recordings",
-        (path("file", "FILE", "an experiment, or the folder of a run"), *BASE[1:], json_file()),
+        "score a finished run on its test set, or a model on other recordings",
+        (
+            path(
+                "file",
+                "MODEL",
+                "a finished run; released weights, with --recordings; or an experiment's file",
+            ),
+            *BASE[1:],
+            json_file(),
+        ),
     ),
     "fit": (
-        "fit networks to your own recordings: writes an experiment about them, and runs it",
+        "train on your own taps and slides: writes an experiment about them, and runs it",
         (
             (
                 "--recordings",
                 {
-                    "metavar": "DIR",
+                    "metavar": "RECORDINGS",
                     "nargs": "+",
                     "help": "folders of recordings, one for each task or day: one network, "
                     "over pins unless --unshear.input images, unshears all",
                 },
             ),
-            path("--taps", "DIR", "recorded taps"),
-            path("--slides", "DIR", "recorded slides"),
-            path("--pairs", "FILE", "CSV with columns slide and tap: which belong together"),
+            path("--taps", "RECORDINGS", "recorded taps"),
+            path("--slides", "RECORDINGS", "recorded slides"),
+            path(
+                "--pairs", "FILE", "CSV with columns slide and tap: the files that belong together"
+            ),
             *(OUT, DATA, json_file()),
         ),
     ),
     "sweep": (
-        "run an experiment over grids of settings and seeds; "
-        "continues where a stopped sweep left off",
+        "run an experiment over grids of settings and seeds; a stopped sweep continues",
         (
             path(
                 "file",
-                "FILE",
+                "EXPERIMENT",
                 "a sweep, such as experiments/ablations/lambda_split.py, or an experiment",
             ),
             path(
@@ -328,7 +344,7 @@ OPTIONS: dict[str, tuple[str, tuple[Option, ...]]] = {
                 default=Path("runs/sweeps"),
             ),
             *(DATA, *SUBJECT),
-            option("--seeds", "N,N,...", "seeds of the trainings, instead of those in FILE"),
+            option("--seeds", "N,N,...", "seeds of the trainings, instead of those in EXPERIMENT"),
             *_list_engine_options("row"),
             flag("--retry-failed", "try failed rows again"),
             json_file("sweep.json here, too"),
@@ -341,7 +357,7 @@ COMMANDS = tuple(
         text,
         sweep if name == "sweep" else handle_stages,
         options,
-        takes_fields="--taps DIR --slides DIR" if name == "fit" else "FILE",
+        takes_fields=FIT_USAGE if name == "fit" else options[0][1]["metavar"],
         is_resumable=name != "evaluate",
         checks_out=False,
     )

@@ -24,6 +24,11 @@ def split_help_request(argv: list[str]) -> tuple[str, list[str]] | None:
     return None
 
 
+def list_group_names() -> tuple[str, ...]:
+    """List the groups of fields that an experiment can have; '' for the fields of no group."""
+    return tuple(dict(_list_groups(Experiment, "")))
+
+
 def format_field_help(group: str, experiment: Experiment | None = None) -> str:
     """Say of each field of a group its value, what it takes and what it means.
 

@@ -15,6 +15,7 @@ from jaxunshear.cli.program import (
     flag,
     integer,
     json_file,
+    mark_rare,
     option,
     path,
 )
@@ -246,15 +247,15 @@ def choose_exit_code(used: float, left_out: float) -> int:
 
 
 def _name_model(default: str, name: str = "--model", **settings: str) -> Option:
-    text = f"a finished run (runs/demo), or released weights by name ({default})"
-    return path(name, "RUN" if name == "model" else "DIR", text, default=Path(default), **settings)
+    text = f"a finished run (runs/demo), or released weights by name (default: {default})"
+    return path(name, "MODEL", text, default=Path(default), **settings)
 
 
 MODEL = _name_model("standard")
 LIKE = path(
     "--like",
-    "DIR",
-    "contacts of the same sensor and camera, whose mean shows where pins stand "
+    "RECORDINGS",
+    "contacts of the same sensor and camera, whose mean gives the pins' rest positions "
     "(default: the frames themselves)",
 )
 CAMERA_MODEL = (  # trained for recordings, and what it needs to read them
@@ -262,15 +263,14 @@ CAMERA_MODEL = (  # trained for recordings, and what it needs to read them
     LIKE,
     path(
         "--untouched",
-        "PATH",
-        "frames of the untouched dome, in a folder or a video, from which contact and shear are "
-        "measured (default: the mean over contacts)",
+        "RECORDINGS",
+        "frames of the untouched dome, in a folder or a video: contact and shear are measured "
+        "from them (default: from the mean over contacts)",
     ),
-    WITHOUT,
-    flag("--force", "answer images that are not of the model's sensor, too"),
+    *mark_rare(WITHOUT, flag("--force", "also use images that are not of the model's sensor")),
 )
 STIMULUS = option(
-    "--stimulus", "NAME,FILE", "which objects, outlines in files among them (all)", default="all"
+    "--stimulus", "NAME,FILE", "objects by name, or outlines in files (default: all)", default="all"
 )
 
 
@@ -290,60 +290,79 @@ def _make_command(
 COMMANDS = (
     Command(
         "unshear",
-        "take the slide out of recorded images; also predicts their poses",
+        "remove shear from recorded images, and predict their poses",
         infer,
         (
-            path("path", "PATH", IMAGES),
+            path("path", "RECORDINGS", IMAGES),
             *CAMERA_MODEL,
-            path("--out", "DIR", "for images and poses.csv", required=True),
+            path("--out", "DIR", "folder for images and poses.csv", required=True),
             json_file(),
         ),
     ),
     Command(
         "pose",
-        "predict the poses of recorded images, as they are and unsheared",
+        "predict contact poses from recorded images, as recorded and unsheared",
         infer,
-        (path("path", "PATH", IMAGES), *CAMERA_MODEL, json_file()),
+        (path("path", "RECORDINGS", IMAGES), *CAMERA_MODEL, json_file()),
     ),
     _make_command(
         pins,
-        "find, identify and draw the pins of recorded images",
-        "for the results (pins)",
-        path("path", "IMAGES", IMAGES),
+        "detect, track and draw the pins of recorded images",
+        "folder of the results (default: pins)",
+        path("path", "RECORDINGS", IMAGES),
         [
-            option("--sensor", "NAME", "whose pins they are (tactip331)", default="tactip331"),
-            path("--layout", "FILE", "instead: x and y of each pin, a line each, any unit"),
-            path("--model", "DIR", "instead: images of the sensor and camera of this run"),
+            option(
+                "--sensor", "NAME", "name of the sensor (default: tactip331)", default="tactip331"
+            ),
+            path(
+                "--layout",
+                "FILE",
+                "instead: a file with x and y of each pin, one pin a line, in any unit",
+            ),
+            path("--model", "MODEL", "instead: sensor and camera of a simulated run"),
         ],
-        path("--rest", "IMAGES", "of the untouched sensor (default: the images' mean)"),
-        option("--size", "PX", "of the prepared images (theirs, at most 256)", type=int),
+        path("--rest", "RECORDINGS", "frames of the untouched sensor (default: the images' mean)"),
+        option(
+            "--size",
+            "PX",
+            "size of the prepared images (default: the images' own, at most 256)",
+            type=int,
+        ),
         WITHOUT,
     ),
     _make_command(
         geometry,
-        "contact geometry of taps, sheared and unsheared images",
-        "for the results (geometry)",
-        path("path", "IMAGES", "also of these recordings", nargs="?"),
+        "estimate contact geometry from taps, sheared and unsheared images",
+        "folder of the results (default: geometry)",
+        path("path", "RECORDINGS", "recordings to estimate geometry from, too", nargs="?"),
         MODEL,
-        integer("--contacts", "fresh ones to be scored on, at least 5 of each shape (300)", 300),
+        integer(
+            "--contacts", "new contacts to score on, at least 5 of each shape (default: 300)", 300
+        ),
     ),
     _make_command(
         servo,
-        "follow the outlines of objects by touch, in the simulator",
-        "for the results (servo)",
+        "follow the contours of simulated objects by touch",
+        "folder of the results (default: servo)",
         MODEL,
         STIMULUS,
-        integer("--starts", "walks around an object, for each way of perceiving (default: 5)", 5),
-        option(
-            "--ways", "NAME,NAME", "of perceiving (default: all that the model's networks allow)"
+        integer(
+            "--starts",
+            "trajectories around an object, for each method of perception (default: 5)",
+            5,
         ),
-        option("--depth", "MM", "depth of the contact, mm (default: 3)", type=float, default=3.0),
+        option(
+            "--ways",
+            "NAME,NAME",
+            "methods of perception (default: all that the model's networks allow)",
+        ),
+        option("--depth", "MM", "depth of the contact in mm (default: 3)", type=float, default=3.0),
         integer("--seed", "seed of the starts (default: 0)", 0),
     ),
     _make_command(
         reconstruct,
-        "complete objects from the walks that `servo` left",
-        "where they are, and results go (the run's servo)",
+        "reconstruct object shapes from the trajectories of `servo`",
+        "folder of the trajectories and the results (default: the run's servo)",
         _name_model("standard", "model", nargs="?"),
         STIMULUS,
     ),

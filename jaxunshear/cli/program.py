@@ -25,6 +25,8 @@ ROWS = "the rows, with command, machine and versions"  # what `--json` writes fo
 Keep = Callable[[list[Json]], None]
 Commands: TypeAlias = "argparse._SubParsersAction[Any]"  # of a command line, to add one to
 Option = tuple[str, dict[str, Any]]  # a name, and what argparse takes of it
+HELP_ALL = "--help-all"
+RARE = "is_rare"  # in an option's settings: only `--help-all` shows it
 Run = Callable[[argparse.Namespace, str], int]  # arguments, command line -> exit code
 _format_python_warning = warnings.formatwarning
 
@@ -46,19 +48,26 @@ class Command:
             flat += each if isinstance(each, list) else [each]
         return flat
 
-    def add_to(self, commands: Commands) -> None:
+    @property
+    def has_more_help(self) -> bool:
+        """Whether `--help-all` shows more than `--help`."""
+        return bool(self.takes_fields) or any(RARE in each for _, each in self.list_options())
+
+    def add_to(self, commands: Commands, help_all: bool = False) -> None:
         parser = new_parser(commands, self.name, self.help)
         if self.takes_fields:
             start = f"jaxunshear {self.name} {self.takes_fields}"
             parser.usage = f"{start} [options] [--field value ...]"
-            parser.set_defaults(takes_fields=True)
+            parser.set_defaults(takes_fields=help_all)
+        if self.has_more_help and not help_all:
+            parser.epilog = f"`jaxunshear {self.name} {HELP_ALL}` shows all options."
         for each in self.options:
-            if isinstance(each, list):
-                group = parser.add_mutually_exclusive_group()
-                for name, settings in each:
-                    group.add_argument(name, **settings)
-            else:
-                parser.add_argument(each[0], **each[1])
+            parent = parser.add_mutually_exclusive_group() if isinstance(each, list) else parser
+            for name, settings in each if isinstance(each, list) else [each]:
+                settings = dict(settings)
+                if settings.pop(RARE, False) and not help_all:
+                    settings["help"] = argparse.SUPPRESS
+                parent.add_argument(name, **settings)
 
 
 def option(name: str, metavar: str, text: str, **settings: Any) -> Option:
@@ -77,6 +86,11 @@ def _parse_path(text: str) -> Path:
 
 def integer(name: str, text: str, default: int | None = None) -> Option:
     return option(name, "N", text, type=int, default=default)
+
+
+def mark_rare(*options: Option) -> tuple[Option, ...]:
+    """Mark options that few people need: `--help` leaves them out."""
+    return tuple((name, settings | {RARE: True}) for name, settings in options)
 
 
 def flag(name: str, text: str) -> Option:

@@ -139,7 +139,7 @@ def catalogue(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
-RUN_DIR = path("run", "RUN_DIR", "folder of a finished run, such as runs/demo")
+RUN = path("run", "MODEL", "folder of a finished run, such as runs/demo")
 CATALOGUE_OPTIONS = (
     ("action", {"choices": ("list", "draw"), "nargs": "?", "default": "list"}),
     ("name", {"metavar": "NAME", "nargs": "?", "help": "what to draw"}),
@@ -151,14 +151,14 @@ COMMANDS = (
         "check a folder of recordings and suggest the next command",
         doctor,
         (
-            path("path", "PATH", "a folder of recordings, one above several, or an image"),
+            path("path", "RECORDINGS", "a folder of recordings, one above several, or an image"),
             WITHOUT,
             json_file("what was found, with command, machine and versions"),
         ),
     ),
     Command(
         "calibrate",
-        "fit camera, pins, friction and stiffness to recordings",
+        "fit the simulator's camera, pins, friction and stiffness to recordings",
         calibrate,
         (
             path("recordings", "RECORDINGS", "a folder of recordings"),
@@ -168,7 +168,7 @@ COMMANDS = (
     ),
     Command(
         "validate",
-        "simulate recorded contacts from their labels and compare the motion of every pin",
+        "compare simulated with recorded pin motion, contact by contact",
         validate,
         (
             path("recordings", "RECORDINGS", "a folder of labelled recordings"),
@@ -183,13 +183,15 @@ COMMANDS = (
             json_file(ROWS),
         ),
     ),
-    Command("report", "write the HTML page of a finished run", report, (RUN_DIR,), computes=False),
+    Command("report", "write the HTML page of a finished run", report, (RUN,), computes=False),
     Command(
         "compare",
-        "finished runs side by side: settings that differ, scores with intervals, times",
+        "compare finished runs: settings that differ, scores with intervals, times",
         compare,
         (
-            path("runs", "RUN", "folders of runs; the first is the reference", nargs="+"),
+            path(
+                "runs", "MODEL", "folders of finished runs; the first is the reference", nargs="+"
+            ),
             path(
                 "--out", "DIR", f"folder of the page (default: {COMPARE_OUT})", default=COMPARE_OUT
             ),
@@ -197,10 +199,10 @@ COMMANDS = (
     ),
     Command(
         "release",
-        "make weights with a model card of a finished run, for `unshear` and `pose`",
+        "pack the weights of a finished run for reuse, with a model card",
         release,
         (
-            path("run", "RUN_DIR", "folder of a finished run, such as runs/standard"),
+            RUN,
             path("--out", "DIR", "a new folder; its name is the weights'", required=True),
         ),
     ),
@@ -209,19 +211,19 @@ COMMANDS = (
         "adapt a run over pins to another day or a moved camera, by labelled taps alone",
         adapt,
         (
-            path("run", "RUN_DIR", "folder of a finished run over pins, such as runs/fit"),
-            path("--taps", "DIR", "50 labelled taps or more of that day", required=True),
+            path("run", "MODEL", "folder of a finished run over pins, such as runs/fit"),
+            path("--taps", "RECORDINGS", "50 labelled taps or more of that day", required=True),
             path("--out", "DIR", "a new folder, for the adapted run", required=True),
             DATA,
         ),
     ),
     Command(
         "ablate",
-        "show what the decoders make of swapped, blanked and foreign codes "
+        "test what the latent codes contain: swap, blank and exchange them "
         "(the paper's appendix D)",
         ablate,
         (
-            RUN_DIR,
+            RUN,
             DATA,
             flag("--leakage", "measure by probes what each code holds that it should not"),
             json_file(),

@@ -26,7 +26,7 @@ PIN_TRAINING = Training(
 
 @dataclass(frozen=True)
 class Experiment:
-    """One run: `jaxunshear run FILE` reads the variable `experiment` of FILE.
+    """One run: `jaxunshear run EXPERIMENT` uses the variable `experiment` of a file.
 
     Results go to runs/<name>/.
     """

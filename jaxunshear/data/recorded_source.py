@@ -32,7 +32,7 @@ class RecordedSource(DataSource):
         return (
             f"These networks learnt from recordings of one sensor of {pins} pins{share}: "
             "another sensor, another object or another camera is another matter; "
-            "score them with `jaxunshear evaluate RUN_DIR --recordings DIR`."
+            "score them with `jaxunshear evaluate MODEL --recordings RECORDINGS`."
         )
 
     def list_sets(self) -> dict[str, DataSettings]:

@@ -99,7 +99,7 @@ REFUSED = [
     ("an experiment's file", "train demo.py", "did you mean experiments/demo.py?"),
     ("a file without its ending", "run ./mine", "did you mean mine.py?"),
     ("a file that is not there", "run nowhere.py", "does not exist: name a Python file"),
-    ("no file", "run", "required: FILE"),
+    ("no file", "run", "required: EXPERIMENT"),
     ("an experiment as --sensor-from", "run mine.py --sensor-from mine.py", "is an experiment"),
     ("a folder as --sensor-from", "run mine.py --sensor-from frames", "is a folder: name a calib"),
     ("a source that is not there", "stream nowhere", "nowhere does not exist: name"),
