@@ -17,7 +17,7 @@ from jaxunshear.cli.program import (
 from jaxunshear.config.serialization import check_finished_run, check_unreleased, load_task_settings
 from jaxunshear.errors import UserError
 from jaxunshear.files import to_builtins, write_bytes, write_json
-from jaxunshear.output_checks import check_not_among
+from jaxunshear.output_checks import check_new_folder, check_not_among, check_outside
 
 COMPARE_OUT = Path("runs/compare")
 
@@ -61,20 +61,38 @@ def validate(arguments: argparse.Namespace, command: str) -> int:
 
 
 def report(arguments: argparse.Namespace, command: str) -> int:
+    _check_tables(arguments)
     check_finished_run(arguments.run)
     from jaxunshear.report.report import write_report
 
-    print(write_report(arguments.run))
+    page = write_report(arguments.run)
+    print(page)
+    _write_tables(page, arguments)
     return 0
 
 
 def compare(arguments: argparse.Namespace, command: str) -> int:
+    _check_tables(arguments)
     from jaxunshear.compare import write_comparison
 
     text, page = write_comparison(arguments.runs, arguments.out)
     print(text)
     print(f"page: {page}")
+    _write_tables(page, arguments)
     return 0
+
+
+def _check_tables(arguments: argparse.Namespace) -> None:
+    check_new_folder(arguments.tables, "--tables")
+    check_outside(arguments.tables, "--tables")
+
+
+def _write_tables(page: Path, arguments: argparse.Namespace) -> None:
+    if arguments.tables:
+        from jaxunshear.report.tables import write_tables
+
+        written = write_tables(page, arguments.tables)
+        print(f"{len(written)} files of tables: {arguments.tables}")
 
 
 def release(arguments: argparse.Namespace, command: str) -> int:
@@ -140,6 +158,7 @@ def catalogue(arguments: argparse.Namespace, command: str) -> int:
 
 
 RUN = path("run", "MODEL", "folder of a finished run, such as runs/demo")
+TABLES = path("--tables", "DIR", "also write every table of the page as CSV and LaTeX")
 CATALOGUE_OPTIONS = (
     ("action", {"choices": ("list", "draw"), "nargs": "?", "default": "list"}),
     ("name", {"metavar": "NAME", "nargs": "?", "help": "what to draw"}),
@@ -183,7 +202,13 @@ COMMANDS = (
             json_file(ROWS),
         ),
     ),
-    Command("report", "write the HTML page of a finished run", report, (RUN,), computes=False),
+    Command(
+        "report",
+        "write the HTML page of a finished run",
+        report,
+        (RUN, TABLES),
+        computes=False,
+    ),
     Command(
         "compare",
         "compare finished runs: settings that differ, scores with intervals, times",
@@ -195,6 +220,7 @@ COMMANDS = (
             path(
                 "--out", "DIR", f"folder of the page (default: {COMPARE_OUT})", default=COMPARE_OUT
             ),
+            TABLES,
         ),
     ),
     Command(
