@@ -35,7 +35,8 @@ MAX_NAME_LENGTH = 100  # letters of a page's name
 NONE = "\u2013"
 CAVEAT = (
     "Brackets: 95 % bootstrap intervals over test poses of one training each. They do not cover "
-    "other trainings; `jaxunshear sweep EXPERIMENT --seeds 0,1,2` gives intervals over seeds and poses."
+    "other trainings; `jaxunshear sweep EXPERIMENT --seeds 0,1,2` gives intervals over seeds "
+    "and poses."
 )
 
 

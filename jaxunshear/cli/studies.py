@@ -17,7 +17,7 @@ from jaxunshear.cli.program import (
 from jaxunshear.config.serialization import check_finished_run, check_unreleased, load_task_settings
 from jaxunshear.errors import UserError
 from jaxunshear.files import to_builtins, write_bytes, write_json
-from jaxunshear.output_checks import check_new_folder, check_not_among, check_outside
+from jaxunshear.output_checks import check_new_folder, check_not_among
 
 COMPARE_OUT = Path("runs/compare")
 
@@ -61,7 +61,7 @@ def validate(arguments: argparse.Namespace, command: str) -> int:
 
 
 def report(arguments: argparse.Namespace, command: str) -> int:
-    _check_tables(arguments)
+    check_new_folder(arguments.tables, "--tables")
     check_finished_run(arguments.run)
     from jaxunshear.report.report import write_report
 
@@ -72,7 +72,7 @@ def report(arguments: argparse.Namespace, command: str) -> int:
 
 
 def compare(arguments: argparse.Namespace, command: str) -> int:
-    _check_tables(arguments)
+    check_new_folder(arguments.tables, "--tables")
     from jaxunshear.compare import write_comparison
 
     text, page = write_comparison(arguments.runs, arguments.out)
@@ -80,11 +80,6 @@ def compare(arguments: argparse.Namespace, command: str) -> int:
     print(f"page: {page}")
     _write_tables(page, arguments)
     return 0
-
-
-def _check_tables(arguments: argparse.Namespace) -> None:
-    check_new_folder(arguments.tables, "--tables")
-    check_outside(arguments.tables, "--tables")
 
 
 def _write_tables(page: Path, arguments: argparse.Namespace) -> None:

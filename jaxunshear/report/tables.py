@@ -10,8 +10,12 @@ from jaxunshear.files import write_text
 
 LATEX = {  # a character that LaTeX would not print: what prints it
     **{each: f"\\{each}" for each in "&%$#_{}"},
-    **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
-    **{"\u2013": "--", "<": r"\textless{}", ">": r"\textgreater{}"},
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "\u2013": "--",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
 }
 
 
