@@ -1,11 +1,12 @@
 # `make demo` and `make test` work on a fresh clone: all they need is Python 3.11, 3.12 or 3.13 with its venv module.
 PYTHON ?= python3
 BIN := .venv/bin
+RUNTIME := .venv/.runtime
 READY := .venv/.ready
 
 .PHONY: demo test check check-long verify stability bench faults tables docs clean
 
-demo: $(READY)
+demo: $(RUNTIME)
 	$(BIN)/jaxunshear run experiments/demo.py
 
 test: $(READY)
@@ -45,11 +46,16 @@ clean:
 	rm -rf .venv build dist site .pytest_cache .ruff_cache .mypy_cache *.egg-info
 	find jaxunshear verification benchmarks data_specs tests experiments -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# The stamp is written last: an install that was interrupted is done again.
-$(READY): pyproject.toml constraints.txt
+# A stamp is written last: an install that was interrupted is done again.
+$(RUNTIME): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' || \
 		{ echo "Python 3.11, 3.12 or 3.13 is needed; name one: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 2; }
 	@echo "Setting up .venv; the installs take a few minutes."
 	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable .
+	touch $(RUNTIME)
+
+# Tools for tests, checks and documents.
+$(READY): $(RUNTIME)
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $(READY)
