@@ -34,6 +34,7 @@ from jaxunshear.config.networks import (
     UnshearNet,
 )
 from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.targets import list_column_names
 from jaxunshear.config.training import Training, drop_pair_losses, uses_teacher
 from jaxunshear.files import Json
 
@@ -79,7 +80,7 @@ def resolve_network(experiment: Experiment, name: str) -> NetworkConfig:
         sensor=experiment.sensor,
         net=_select_net(experiment, spec),
         training=training,
-        targets=experiment.targets,
+        targets=_select_targets(experiment, spec),
         seed=experiment.seed + (TEACHER_SEED if name == TEACHER else 0),
         randomised=experiment.pins.rotated_share if pins and simulated else 0.0,
         needs=tuple(resolve_network(experiment, need) for need in _list_helpers(experiment, spec)),
@@ -118,7 +119,16 @@ def _list_helpers(experiment: Experiment, spec: NetworkSpec) -> tuple[str, ...]:
     pins = uses_pins(experiment)
     training = experiment.train_pins if pins else experiment.train
     teacher = (TEACHER,) if spec.role == "unshears" and uses_teacher(training) else ()
-    return teacher + experiment.paired.list_helpers(spec, pins)
+    # a renderer knows the pins of poses alone: it gives no further examples of other columns
+    is_rendered = pins and not list_column_names(experiment.targets)
+    return teacher + experiment.paired.list_helpers(spec, is_rendered)
+
+
+def _select_targets(experiment: Experiment, spec: NetworkSpec) -> tuple[str, ...]:
+    if spec.role != "renders":
+        return experiment.targets
+    columns = list_column_names(experiment.targets)
+    return tuple(text for text in experiment.targets if text.partition(":")[0] not in columns)
 
 
 def _select_training(experiment: Experiment, spec: NetworkSpec) -> Training:

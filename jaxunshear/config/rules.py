@@ -11,7 +11,6 @@ from jaxunshear.config.fields import format_value, replace_field
 from jaxunshear.config.losses import EXCHANGE, InputKind, Requirement, Role, get_loss
 from jaxunshear.config.network_config import list_trained_networks, resolve_trained_networks
 from jaxunshear.config.networks import (
-    POSENET,
     POSENET_SHEARED,
     REGISTRY,
     RENDERER,
@@ -117,10 +116,8 @@ def _find_label_target_problems(
     if slides and trained != {POSENET_SHEARED}:
         remedy = f"a tap has no {', '.join(slides)}: name --networks posenet_sheared alone"
         yield "targets", remedy
-    readers = {POSENET_SHEARED} if uses_pins(experiment) else {POSENET, POSENET_SHEARED}
-    if columns and not trained <= readers:
-        remedy = f"none but {' and '.join(sorted(readers))} learns {', '.join(columns)}"
-        yield "targets", f"{remedy}: name no more by --networks"
+    if columns and recorded.unlabelled == "pseudo_label":
+        yield "paired.unlabelled", f"pseudo_label estimates no {', '.join(columns)}: use left_out"
     if experiment.pins.rotated_share:
         yield "pins.rotated_share", f"does not turn {names}: leave it at 0"
 

@@ -6,7 +6,8 @@
 
 A target is written `name`, `name:range` or `name:circle`, or with a weight in the loss,
 `name:range:4`. A range is scaled to [0, 1] about its middle. An angle over the full circle is two
-outputs, its cosine and sine, and its errors go the short way round.
+outputs, its cosine and sine, and its errors go the short way round. A column whose name ends in
+`_class`, as `object_class`, has whole numbers from 0: an output for each, and an error of 0 or 1.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,6 +21,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
 RANGE, CIRCLE = "range", "circle"
+CLASS = "_class"  # ends the names of classes
+MAX_CLASSES = 100
 TASK_POSE = "pose_"  # begins the fields of `name_pose_field`
 SIMULATED_FIELDS = {  # name: the field of a simulated set and its column
     "x_mm": ("pose", 0),
@@ -53,17 +56,18 @@ FULL_CIRCLE_DEG = 300.0  # angles that span more are taken for a full circle
 class Target:
     """One quantity: where its label is in a batch, and how it is scaled for the network."""
 
-    name: str  # ends in its unit, _mm or _deg, unless it is that of a further column
+    name: str  # ends in its unit, _mm or _deg, or in _class, unless it is of a further column
     field: str
     column: int
     centre: float = 0.0  # of the range, mm or deg
     half_range: float = 1.0  # half of the range
     is_circular: bool = False
     weight: float = 1.0  # in the loss
+    classes: int = 0  # of a class; 0 for a number
 
     @property
     def outputs(self) -> int:
-        return 2 if self.is_circular else 1
+        return self.classes or (2 if self.is_circular else 1)
 
 
 Targets = tuple[Target, ...]
@@ -157,8 +161,16 @@ def make_label_targets(
     if len(labels):
         spans = _compute_spans(fields, labels)
     for name, values in others.items():
-        if known := values[np.isfinite(values)].tolist():
-            spans[name] = (min(known), max(known))
+        known = values[np.isfinite(values)]
+        if is_class(name) and ((known % 1 != 0) | (known < 0) | (known >= MAX_CLASSES)).any():
+            if name in list_column_names(texts):
+                raise UserError(
+                    f"target '{name}': a class is a whole number from 0 to {MAX_CLASSES - 1}: "
+                    "number the classes of that column, or give it another name"
+                )
+            continue
+        if known.size:
+            spans[name] = (float(known.min()), float(known.max()))
     fields |= {name: (OTHERS, i) for i, name in enumerate(others)}
     return _make_targets(texts, tuple(RECORDED_FIELDS), fields, spans)
 
@@ -210,6 +222,11 @@ def locate_targets(targets: Targets, columns: Sequence[str]) -> Targets:
     return tuple(located)
 
 
+def is_class(name: str) -> bool:
+    """Return whether a target of this name is a class."""
+    return name.endswith(CLASS)
+
+
 def get_unit(name: str) -> str:
     """Get the unit of a target, mm or deg; "1" for a further column, as `force_x`."""
     unit = name.rpartition("_")[2]
@@ -240,7 +257,8 @@ def _make_targets(
             kind is None and name.endswith("_deg") and high - low > FULL_CIRCLE_DEG
         )
         middle, reach = (0.0, 1.0) if is_circular else ((low + high) / 2, (high - low) / 2)
-        targets.append(Target(name, *fields[name], middle, reach, is_circular, weight))
+        classes = int(high) + 1 if is_class(name) else 0
+        targets.append(Target(name, *fields[name], middle, reach, is_circular, weight, classes))
     return tuple(targets)
 
 

@@ -99,7 +99,8 @@ class RecordedSource(DataSource):
         render = helpers.load_renderer() if pairing in RENDERED_PAIRINGS else None
         simulate = helpers.load_simulator(stored) if pairing == "simulated" else None
         estimate = helpers.load_estimator() if unlabelled == "pseudo_label" else None
-        return stored.read_pairs(targets, render, images, estimate, simulate)
+        poses = tuple(target for target in targets if target.field == "pose")
+        return stored.read_pairs(poses, render, images, estimate, simulate)
 
     def read_frame(self, data_dir: Path) -> Json | None:
         return self.open_stored(data_dir).frame

@@ -119,7 +119,8 @@ def choose_main_kind(kinds: Container[str]) -> str:
 def compute_chance_errors(true: dict[str, np.ndarray], targets: Targets) -> dict[str, float]:
     """Compute the mean absolute error of predicting the median label for every contact.
 
-    For circular angles the mean direction takes the place of the median.
+    For circular angles the mean direction takes the place of the median, for classes the most
+    frequent one.
     """
     middle = {name: np.full_like(value, np.median(value)) for name, value in true.items()}
     for target in targets:
@@ -128,6 +129,9 @@ def compute_chance_errors(true: dict[str, np.ndarray], targets: Targets) -> dict
             middle[target.name][:] = np.degrees(
                 np.arctan2(np.sin(angle).mean(), np.cos(angle).mean())
             )
+        elif target.classes:
+            counts = np.bincount(true[target.name].astype(int))
+            middle[target.name][:] = np.argmax(counts)
     return {name: float(error.mean()) for name, error in compute_pose_errors(middle, true).items()}
 
 

@@ -13,6 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from jaxunshear.angles import wrap_degrees
+from jaxunshear.config.targets import is_class
 from jaxunshear.perception.pin_detection import detect_pin_centres
 
 
@@ -21,8 +22,8 @@ def compute_pose_errors(
 ) -> dict[str, Float32[np.ndarray, "B"]]:
     """Compute the absolute errors of `predicted`, in the order of the labels.
 
-    Angles wrap, so their errors are at most 180. Raises `ValueError` if a label is missing or
-    lengths differ.
+    Angles wrap, so their errors are at most 180. The error of a wrong class is 1. Raises
+    `ValueError` if a label is missing or lengths differ.
     """
     if unknown := predicted.keys() - true.keys():
         raise ValueError(f"pose quantity {min(unknown)!r} is missing")
@@ -36,6 +37,8 @@ def compute_pose_errors(
         difference = b - a
         if name.endswith("_deg"):
             difference = wrap_degrees(difference)
+        if is_class(name):
+            difference = np.where(np.isnan(difference), np.nan, difference != 0)
         errors[name] = np.abs(difference).astype(np.float32)
     return errors
 

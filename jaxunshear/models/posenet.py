@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxunshear.config import networks
-from jaxunshear.config.targets import Targets
+from jaxunshear.config.targets import Target, Targets
 from jaxunshear.config.types import raise_first_problem
 from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import networks as fast
@@ -104,6 +104,9 @@ def scale_poses(batch: Mapping[str, ArrayLike], targets: Targets) -> Outputs:
         if target.is_circular:
             angle = jnp.deg2rad(value)
             signed += [jnp.cos(angle), jnp.sin(angle)]
+        elif target.classes:
+            one_hot = jnp.where(jnp.isnan(value[:, None]), jnp.nan, _encode_class(value, target))
+            signed += list(2 * one_hot.T - 1)
         else:
             signed.append((value - target.centre) / target.half_range)
     return (jnp.stack(signed, -1) + 1) / 2
@@ -116,18 +119,31 @@ def sample_outputs(targets: Targets, count: int, key: Array) -> Float[Array, "{c
         value = jax.random.uniform(target_key, (count,), minval=-1.0)
         if target.is_circular:
             signed += [jnp.cos(jnp.pi * value), jnp.sin(jnp.pi * value)]
+        elif target.classes:
+            classes = jnp.floor((value + 1) / 2 * target.classes)
+            signed += list(2 * _encode_class(classes, target).T - 1)
         else:
             signed.append(value)
     return (jnp.stack(signed, -1) + 1) / 2
 
 
+def _encode_class(value: Float[Array, "B"], target: Target) -> Float[Array, "B K"]:
+    return (value[:, None] == jnp.arange(target.classes)).astype(jnp.float32)
+
+
 def unscale_outputs(outputs: Outputs, targets: Targets) -> dict[str, PerExample]:
-    """Turn outputs into mm and deg by target; angles of a full circle are in (-180, 180]."""
+    """Turn outputs into mm and deg by target, and classes into their numbers.
+
+    Angles of a full circle are in (-180, 180].
+    """
     signed = 2 * outputs - 1
     pose, column = {}, 0
     for target in targets:
         if target.is_circular:
             pose[target.name] = jnp.rad2deg(jnp.arctan2(signed[:, column + 1], signed[:, column]))
+        elif target.classes:
+            likeness = signed[:, column : column + target.classes]
+            pose[target.name] = jnp.argmax(likeness, axis=-1).astype(signed.dtype)
         else:
             pose[target.name] = target.centre + target.half_range * signed[:, column]
         column += target.outputs

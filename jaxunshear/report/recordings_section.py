@@ -64,6 +64,8 @@ def _describe_range(target: Target) -> str:
     name = wording.name_quantity(target.name)
     if target.is_circular:
         return f"{name} over the full circle"
+    if target.classes:
+        return f"{name} of {target.classes}"
     low, high = target.centre - target.half_range, target.centre + target.half_range
     return f"{name} {low:.2f} to {high:.2f} {get_unit(target.name)}"
 

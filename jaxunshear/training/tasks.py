@@ -17,7 +17,7 @@ from jax import Array
 from jaxunshear.angles import wrap_degrees
 from jaxunshear.config.losses import LOSSES, SUPERVISION, LossSpec, Role, get_loss
 from jaxunshear.config.networks import PinRenderer
-from jaxunshear.config.targets import Targets, read_true_values
+from jaxunshear.config.targets import Targets, is_class, read_true_values
 from jaxunshear.config.training import Training, uses_teacher
 from jaxunshear.config.types import raise_first_problem
 from jaxunshear.errors import UserError
@@ -262,8 +262,12 @@ def _list_losses(training: Training, role: Role) -> list[LossSpec]:
 def compute_pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> Terms:
     """Compute absolute errors in mm and deg by target, each (B,)."""
     poses, true_poses = posenet.unscale_outputs(outputs, targets), read_true_values(targets, batch)
-    errors = {name: true_poses[name] - poses[name] for name in poses}
-    return {
-        name: jnp.abs(wrap_degrees(error) if name.endswith("_deg") else error)
-        for name, error in errors.items()
-    }
+    errors: Terms = {}
+    for name in poses:
+        error = jnp.asarray(true_poses[name] - poses[name])
+        if name.endswith("_deg"):
+            error = wrap_degrees(error)
+        if is_class(name):
+            error = jnp.where(jnp.isnan(error), jnp.nan, error != 0)
+        errors[name] = jnp.abs(error)
+    return errors

@@ -291,3 +291,30 @@ def test_targets_come_back_from_json(targets):
 def test_json_of_another_form_is_refused(stored):
     with pytest.raises(UserError, match=r"posenet/model\.json states no pose targets"):
         from_json(stored, "posenet/model.json")
+
+
+def test_classes_have_an_output_each_and_errors_of_0_or_1():
+    poses, others = np.zeros((6, 6)), {"object_class": np.array([0, 1, 2, 2, np.nan, 1])}
+    (target,) = targets = make_label_targets(("object_class",), poses, others=others)
+    assert (target.classes, posenet.count_outputs(targets)) == (3, 3)
+    labels = {"others": np.array([[0], [2], [np.nan]], np.float32)}
+    outputs = posenet.scale_poses(labels, targets)
+    np.testing.assert_array_equal(outputs[:2], [[1, 0, 0], [0, 0, 1]])
+    assert np.isnan(outputs[2]).all()
+    likely = jnp.array([[0.5, 0.4, 0.1], [0.4, 0.5, 0.1], [0.1, 0.2, 0.3]])
+    read = jax.tree.map(np.asarray, posenet.unscale_outputs(likely, targets))
+    np.testing.assert_array_equal(read["object_class"], [0, 1, 2])
+    expected = [0, 1, np.nan]
+    errors = compute_pose_errors(read, read_true_values(targets, labels))
+    np.testing.assert_array_equal(errors["object_class"], expected)
+    terms = compute_pose_error_terms(likely, labels, targets)
+    np.testing.assert_array_equal(terms["object_class"], expected)
+    drawn = posenet.sample_outputs(targets, 300, jax.random.key(0))
+    np.testing.assert_array_equal(np.unique(drawn, axis=0), np.eye(3)[::-1])
+
+
+@pytest.mark.parametrize("value", [0.5, -1.0, 100.0])
+def test_classes_that_are_no_whole_numbers_are_refused(value):
+    others = {"object_class": np.array([0.0, value])}
+    with pytest.raises(UserError, match="'object_class': a class is a whole number from 0 to 99"):
+        make_label_targets(("object_class",), np.zeros((2, 6)), others=others)

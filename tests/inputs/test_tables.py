@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear.config.data import Recorded
+from jaxunshear.config.network_config import resolve_trained_networks
 from jaxunshear.config.outlines import read_outline
 from jaxunshear.config.rules import validate
 from jaxunshear.config.sensor import Preprocess
@@ -256,10 +257,17 @@ def check_unknown_column(root):
 
 
 def check_networks_of_columns(root):
+    """Other columns are targets of every PoseNet; a renderer knows poses alone."""
     asked = replace(BASE_EXPERIMENT, targets=("Fx", "y_mm"), paired=Recorded("a", "a"))
-    validate(replace(asked, networks=("posenet", "posenet_sheared")))
-    with pytest.raises(UserError, match="none but posenet and posenet_sheared learns Fx"):
-        validate(asked)
+    validate(asked)
+    over_pins = replace(asked, unshear=replace(asked.unshear, input="pins"))
+    configs = {config.name: config for config in resolve_trained_networks(over_pins)}
+    assert configs["renderer"].targets == ("y_mm",)
+    for name in ("posenet", "posenet_sheared"):
+        assert configs[name].targets == ("Fx", "y_mm") and not configs[name].needs
+    pseudo = replace(asked.paired, unlabelled="pseudo_label", labelled=0.5)
+    with pytest.raises(UserError, match="pseudo_label estimates no Fx"):
+        validate(replace(asked, paired=pseudo))
 
 
 def check_unicode(form):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxunshear.apps.export.onnx_graph import OnnxGraph
+from jaxunshear.apps.export.onnx_graph import FLOAT, OnnxGraph
 from jaxunshear.config.networks import PinNet, PinPoseNet, PinUnshear, PoseNet, UnshearNet
 from jaxunshear.config.targets import Targets
 from jaxunshear.errors import UserError
@@ -96,6 +96,8 @@ def add_pose(graph: OnnxGraph, targets: Targets, outputs: str) -> str:
         first = _add_column(graph, signed, start)
         if target.is_circular:
             columns.append(_add_degrees(graph, first, _add_column(graph, signed, start + 1)))
+        elif target.classes:
+            columns.append(_add_class(graph, signed, start, target.classes))
         else:
             scaled = graph.add("Mul", first, np.float32(target.half_range))
             columns.append(graph.add("Add", scaled, np.float32(target.centre)))
@@ -105,6 +107,12 @@ def add_pose(graph: OnnxGraph, targets: Targets, outputs: str) -> str:
 
 def _add_column(graph: OnnxGraph, x: str, number: int) -> str:
     return graph.add("Slice", x, np.array([number]), np.array([number + 1]), np.array([1]))
+
+
+def _add_class(graph: OnnxGraph, x: str, start: int, count: int) -> str:
+    """Add the nodes of the number (B, 1) of the largest of some columns."""
+    ends = np.array([start]), np.array([start + count]), np.array([1])
+    return graph.add("Cast", graph.add("ArgMax", graph.add("Slice", x, *ends), axis=1), to=FLOAT)
 
 
 def _add_degrees(graph: OnnxGraph, cosine: str, sine: str) -> str:

@@ -158,6 +158,16 @@ def test_a_full_circle_has_no_seam():
     np.testing.assert_allclose((off + 180) % 360 - 180, 0, atol=1e-4)
 
 
+def test_a_class_is_the_number_of_its_largest_output():
+    outputs = np.random.default_rng(0).random((20, 4), np.float32)
+    of_three = targets.Target("object_class", targets.OTHERS, 0, classes=3)
+    graph, both = OnnxGraph(), (targets.Target("x_mm", "pose", 0), of_three)
+    graph.add_output("pose", networks.add_pose(graph, both, "outputs"), ("batch", 2))
+    file = graph.build("outputs", ("batch", 4), FLOAT, {}).SerializeToString()
+    (pose,) = onnxruntime.InferenceSession(file).run(None, {"outputs": outputs})
+    np.testing.assert_array_equal(pose[:, 1], outputs[:, 1:].argmax(axis=1))
+
+
 def frames_in(folder, kind):
     """Six frames of a camera, dark with light pins in a light surround."""
     random = np.random.default_rng(0)
