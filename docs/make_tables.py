@@ -44,7 +44,7 @@ TABLES = {
         simulator_tables.tabulate_validation,
         simulator_tables.tabulate_refit,
     ),
-    "docs/simulator.md": (
+    "docs/simulator-checks.md": (
         simulator_tables.tabulate_problems,
         simulator_tables.tabulate_large_strain,
         simulator_tables.tabulate_levels,
