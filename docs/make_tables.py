@@ -49,15 +49,13 @@ TABLES = {
         simulator_tables.tabulate_large_strain,
         simulator_tables.tabulate_levels,
     ),
-    "docs/applications.md": (
-        application_tables.tabulate_detected_pins,
-        application_tables.tabulate_geometry,
+    "docs/pins.md": (application_tables.tabulate_detected_pins,),
+    "docs/geometry.md": (application_tables.tabulate_geometry,),
+    "docs/contour-following.md": (
         application_tables.tabulate_servo,
         application_tables.tabulate_servo_pins,
-        application_tables.tabulate_objects,
-        application_tables.tabulate_stream,
-        simulated_tables.tabulate_perception,
     ),
+    "docs/objects.md": (application_tables.tabulate_objects,),
     "docs/codes.md": (
         code_tables.tabulate_parted_skin,
         code_tables.tabulate_parted_skin_errors,
@@ -72,11 +70,17 @@ TABLES = {
     "docs/experiments.md": (
         simulated_tables.tabulate_standard,
         simulated_tables.tabulate_recoveries,
-        simulated_tables.tabulate_ridge,
+        simulated_tables.tabulate_demo,
+    ),
+    "docs/pose-estimators.md": (simulated_tables.tabulate_ridge,),
+    "docs/error-against-time.md": (
+        simulated_tables.tabulate_frontier,
+        simulated_tables.tabulate_perception,
+    ),
+    "docs/paper-training.md": (
         simulated_tables.tabulate_tenth,
         simulated_tables.tabulate_tenth_poses,
-        simulated_tables.tabulate_demo,
-        simulated_tables.tabulate_frontier,
+        simulated_tables.tabulate_short,
     ),
     "docs/ablations.md": (
         simulated_tables.tabulate_shear_code,
@@ -97,10 +101,10 @@ TABLES = {
     "docs/speed.md": (
         simulator_tables.tabulate_training,
         simulator_tables.tabulate_inference,
+        application_tables.tabulate_stream,
         simulator_tables.tabulate_omissions,
         application_tables.tabulate_input,
         application_tables.tabulate_pin_networks,
-        simulated_tables.tabulate_short,
     ),
     "docs/faults.md": (application_tables.tabulate_faults,),
     "docs/limits.md": (
