@@ -49,6 +49,11 @@ TABLES = {
         simulator_tables.tabulate_large_strain,
         simulator_tables.tabulate_levels,
     ),
+    "docs/negative-results.md": (
+        recorded_tables.tabulate_rival_differences,
+        simulated_tables.tabulate_shear_code,
+        code_tables.tabulate_parted_leaks,
+    ),
     "docs/pins.md": (application_tables.tabulate_detected_pins,),
     "docs/geometry.md": (application_tables.tabulate_geometry,),
     "docs/contour-following.md": (
@@ -56,11 +61,13 @@ TABLES = {
         application_tables.tabulate_servo_pins,
     ),
     "docs/objects.md": (application_tables.tabulate_objects,),
-    "docs/codes.md": (
+    "docs/disentangling-recorded.md": (
         code_tables.tabulate_parted_skin,
         code_tables.tabulate_parted_skin_errors,
         code_tables.tabulate_parted_skin_images,
         code_tables.tabulate_parted_skin_images_errors,
+    ),
+    "docs/disentangling-simulated.md": (
         code_tables.tabulate_parted_leaks,
         code_tables.tabulate_parted_pins,
         code_tables.tabulate_end_to_end,
