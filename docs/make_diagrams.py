@@ -9,10 +9,12 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Polygon, Wedge
 
 from jaxunshear.config.sensor import TACTIP_331, Sensor
+from jaxunshear.simulator.mesh import make_dome_mesh
 from jaxunshear.simulator.pin_layout import compute_pin_levers, compute_pin_tips
 from jaxunshear.style import FAINT, INK, STYLE
 
@@ -140,6 +142,31 @@ def draw_sensor_section() -> Figure:
     return figure
 
 
+def draw_mesh() -> Figure:
+    """Draw half of the cross-section: elements of gel and skin, the clamped base, pins."""
+    figure, axes = make_figure(5, 4.2, (-1, 29, -1.5, 22))
+    sensor = TACTIP_331
+    mesh = make_dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, 1.0)
+    for colour, line, elements in (
+        (GEL, FAINT, mesh.elements[~mesh.skin]),
+        (SKIN, "white", mesh.elements[mesh.skin]),
+    ):
+        corners = mesh.nodes[elements[:, :4]]
+        axes.add_collection(PolyCollection(corners, fc=colour, ec=line, linewidth=0.4))
+    base = mesh.nodes[mesh.clamped]
+    axes.plot(base[:, 0], base[:, 1], color=BLUE, linewidth=3)
+    tips = compute_pin_tips(sensor)
+    levers = compute_pin_levers(sensor)
+    shown = (np.abs(tips[:, 1]) < 0.1 * sensor.pin_spacing_mm) & (tips[:, 0] > -0.1)
+    for tip, lever in zip(tips[shown], levers[shown], strict=True):
+        axes.plot([tip[0] - lever[0], tip[0]], [tip[2] - lever[2], tip[2]], color=ORANGE)
+    axes.text(10, 20.8, "clamped base", color=BLUE, ha="center")
+    axes.text(21, 12, "skin", color=SKIN)
+    axes.text(14, 1, "pins", color=ORANGE)
+    axes.text(0, -1.4, "apex", ha="left", color=INK)
+    return figure
+
+
 def draw_frames() -> Figure:
     figure, axes = make_figure(6, 4, (-26, 24, -16, 17))
     angle = np.linspace(-0.75, 0.75, 60)
@@ -214,6 +241,7 @@ def draw_flow() -> Figure:
 
 DIAGRAMS = {
     "sensor": draw_sensor_section,
+    "mesh": draw_mesh,
     "frames": draw_frames,
     "tap_slide": draw_tap_slide,
     "networks": draw_networks,

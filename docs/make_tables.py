@@ -44,25 +44,30 @@ TABLES = {
         simulator_tables.tabulate_validation,
         simulator_tables.tabulate_refit,
     ),
-    "docs/simulator.md": (
+    "docs/simulator-checks.md": (
         simulator_tables.tabulate_problems,
         simulator_tables.tabulate_large_strain,
         simulator_tables.tabulate_levels,
     ),
-    "docs/applications.md": (
-        application_tables.tabulate_detected_pins,
-        application_tables.tabulate_geometry,
+    "docs/negative-results.md": (
+        recorded_tables.tabulate_rival_differences,
+        simulated_tables.tabulate_shear_code,
+        code_tables.tabulate_parted_leaks,
+    ),
+    "docs/pins.md": (application_tables.tabulate_detected_pins,),
+    "docs/geometry.md": (application_tables.tabulate_geometry,),
+    "docs/contour-following.md": (
         application_tables.tabulate_servo,
         application_tables.tabulate_servo_pins,
-        application_tables.tabulate_objects,
-        application_tables.tabulate_stream,
-        simulated_tables.tabulate_perception,
     ),
-    "docs/codes.md": (
+    "docs/objects.md": (application_tables.tabulate_objects,),
+    "docs/disentangling-recorded.md": (
         code_tables.tabulate_parted_skin,
         code_tables.tabulate_parted_skin_errors,
         code_tables.tabulate_parted_skin_images,
         code_tables.tabulate_parted_skin_images_errors,
+    ),
+    "docs/disentangling-simulated.md": (
         code_tables.tabulate_parted_leaks,
         code_tables.tabulate_parted_pins,
         code_tables.tabulate_end_to_end,
@@ -72,11 +77,17 @@ TABLES = {
     "docs/experiments.md": (
         simulated_tables.tabulate_standard,
         simulated_tables.tabulate_recoveries,
-        simulated_tables.tabulate_ridge,
+        simulated_tables.tabulate_demo,
+    ),
+    "docs/pose-estimators.md": (simulated_tables.tabulate_ridge,),
+    "docs/error-against-time.md": (
+        simulated_tables.tabulate_frontier,
+        simulated_tables.tabulate_perception,
+    ),
+    "docs/paper-training.md": (
         simulated_tables.tabulate_tenth,
         simulated_tables.tabulate_tenth_poses,
-        simulated_tables.tabulate_demo,
-        simulated_tables.tabulate_frontier,
+        simulated_tables.tabulate_short,
     ),
     "docs/ablations.md": (
         simulated_tables.tabulate_shear_code,
@@ -97,10 +108,10 @@ TABLES = {
     "docs/speed.md": (
         simulator_tables.tabulate_training,
         simulator_tables.tabulate_inference,
+        application_tables.tabulate_stream,
         simulator_tables.tabulate_omissions,
         application_tables.tabulate_input,
         application_tables.tabulate_pin_networks,
-        simulated_tables.tabulate_short,
     ),
     "docs/faults.md": (application_tables.tabulate_faults,),
     "docs/limits.md": (

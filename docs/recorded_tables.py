@@ -257,6 +257,18 @@ def tabulate_rivals(name: str) -> str:
     return _tabulate_rivals("pins", {cell.label: cell for cell in load_cells(name)})
 
 
+def tabulate_rival_differences() -> str:
+    """Tabulate by how much unsheared poses err more than directly learnt ones, by the test."""
+    heads = [_name_target(target) for target in EDGE_TARGETS]
+    lines = start_table(format_line("unsheared - direct", heads))
+    for name, test in (("rivals", "random tenth"), ("rivals_block", "block of poses")):
+        for cell in load_cells(name):
+            if cell.label in ("dense", "convolving"):
+                errors = format_figures(cell.metrics, EDGE_TARGETS, "difference/sheared_learnt/")
+                lines.append(format_line(f"{test}, {cell.label}", errors))
+    return "\n".join(lines)
+
+
 def tabulate_rivals_epochs() -> str:
     """Tabulate the same over images, by how long PoseNets are trained."""
     names = {

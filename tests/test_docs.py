@@ -46,9 +46,11 @@ def test_tables_go_where_a_page_has_their_first_lines():
 
 
 def anchors(page: Path) -> set[str]:
-    """Those of a page's headings, as GitHub names them."""
-    headings = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    """Those of a page's headings, as GitHub names them, and of its terms."""
+    text = page.read_text()
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    names = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    return names | set(re.findall(r'<a id="([^"]+)">', text))
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -88,7 +90,7 @@ def test_pages_are_short(page):
     assert len(lines) - 2 * notes <= MOST_LINES.get(page, 200)
 
 
-@pytest.mark.parametrize("page", ["docs/simulator.md"])
+@pytest.mark.parametrize("page", ["docs/shapes.md"])
 def test_examples_of_settings_run(page):
     (example,) = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
     names: dict = {}

@@ -26,7 +26,7 @@ SHOWN_TARGETS = {
     "surface": ("depth_mm", "tilt_x_deg", "tilt_y_deg"),
 }
 
-# Rubber on hard plastic has about 0.5 to 0.9. The evidence is divided (docs/simulator.md): with
+# Rubber on hard plastic has about 0.5 to 0.9. The evidence is divided (docs/calibration.md): with
 # 0.35, slides hardly disturb a PoseNet trained on taps, while the paper's is then no better than
 # chance (its Table 2); but recordings of another sensor, whose pins lag by no more than 0.8-1 mm,
 # suggest 0.2 to 0.4.
