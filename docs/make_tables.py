@@ -23,9 +23,9 @@ TABLES = {
         partial(recorded_tables.tabulate_real_skin, "pins"),
         simulated_tables.tabulate_standard_first,
     ),
-    "docs/your-own-recordings.md": (
-        recorded_tables.tabulate_pairings,
-        recorded_tables.tabulate_other_recordings,
+    "docs/pairings.md": (recorded_tables.tabulate_pairings,),
+    "docs/another-day.md": (recorded_tables.tabulate_other_recordings,),
+    "docs/few-labels.md": (
         recorded_tables.tabulate_few_labels,
         recorded_tables.tabulate_simulated_slides,
     ),
