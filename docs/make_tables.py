@@ -84,11 +84,9 @@ TABLES = {
         simulated_tables.tabulate_regularisation,
     ),
     "docs/cluster.md": (application_tables.tabulate_sizes,),
-    "docs/robot.md": (
-        application_tables.tabulate_exported_speed,
-        application_tables.tabulate_filter,
-        application_tables.tabulate_lost_pins,
-    ),
+    "docs/exported-files.md": (application_tables.tabulate_exported_speed,),
+    "docs/stream.md": (application_tables.tabulate_filter,),
+    "docs/worn-dome.md": (application_tables.tabulate_lost_pins,),
     "docs/touch.md": (
         application_tables.tabulate_touch,
         application_tables.tabulate_recorded_touch,
