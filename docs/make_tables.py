@@ -23,9 +23,9 @@ TABLES = {
         partial(recorded_tables.tabulate_real_skin, "pins"),
         simulated_tables.tabulate_standard_first,
     ),
-    "docs/your-own-recordings.md": (
-        recorded_tables.tabulate_pairings,
-        recorded_tables.tabulate_other_recordings,
+    "docs/pairings.md": (recorded_tables.tabulate_pairings,),
+    "docs/another-day.md": (recorded_tables.tabulate_other_recordings,),
+    "docs/few-labels.md": (
         recorded_tables.tabulate_few_labels,
         recorded_tables.tabulate_simulated_slides,
     ),
@@ -95,11 +95,9 @@ TABLES = {
         simulated_tables.tabulate_regularisation,
     ),
     "docs/cluster.md": (application_tables.tabulate_sizes,),
-    "docs/robot.md": (
-        application_tables.tabulate_exported_speed,
-        application_tables.tabulate_filter,
-        application_tables.tabulate_lost_pins,
-    ),
+    "docs/exported-files.md": (application_tables.tabulate_exported_speed,),
+    "docs/stream.md": (application_tables.tabulate_filter,),
+    "docs/worn-dome.md": (application_tables.tabulate_lost_pins,),
     "docs/touch.md": (
         application_tables.tabulate_touch,
         application_tables.tabulate_recorded_touch,

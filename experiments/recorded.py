@@ -4,7 +4,7 @@
     jaxunshear run experiments/recorded.py --recordings DIR
     jaxunshear run experiments/recorded.py --recordings DIR --unshear.input pins
 
-DIR holds taps and slides with their labels, in one of the layouts of docs/your-own-recordings.md.
+DIR holds taps and slides with their labels, in one of the layouts of docs/recording-files.md.
 One PoseNet learns from taps alone, another from slides alone; the networks that unshear learn from
 both.
 

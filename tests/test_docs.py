@@ -46,11 +46,11 @@ def test_tables_go_where_a_page_has_their_first_lines():
 
 
 def anchors(page: Path) -> set[str]:
-    """Those of a page's headings, as GitHub names them, and of its terms."""
+    """Those of a page's headings, as GitHub names them, and of its `<a id>`."""
     text = page.read_text()
     headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
-    names = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
-    return names | set(re.findall(r'<a id="([^"]+)">', text))
+    named = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    return named.union(re.findall(r'<a id="([^"]+)"', text))
 
 
 @pytest.mark.parametrize("page", PAGES)

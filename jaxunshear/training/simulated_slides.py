@@ -34,7 +34,7 @@ from jaxunshear.training.augmentation import SHIFTED, TURNED_DEG
 SLIDE_MM = 5.0  # along both axes of the object's top, within +- this: most slides come to slip
 TWIST_DEG = 5.0  # about all three axes
 FRICTION = (0.25, 0.55)  # fits to recordings gave .34 to .50
-# factor of the simulated motion, chosen in view of recorded slides (docs/your-own-recordings.md, 8)
+# factor of the simulated motion, chosen in view of recorded slides (docs/few-labels.md)
 MOTION_FACTOR = (0.5, 2.5)
 SLIDES_PER_MOTION = 4  # slides to each tap, of one simulated motion
 CHUNK = 250  # contacts in a file

@@ -128,7 +128,7 @@ def make_line(
     half_widths: Mapping[str, float],
     state: FilterState | None,
 ) -> Json:
-    """Make the line of a frame, but for its image and its time; docs/robot.md has the fields."""
+    """Make the line of a frame, but for its image and its time; docs/stream.md has the fields."""
     line: Json = {"schema": SCHEMA, "frame": frame.number, "name": frame.name}
     line |= {"time_s": frame.time_s, "confidence": round(answer.confidence, 4)}
     if answer.touch:

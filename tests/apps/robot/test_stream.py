@@ -169,7 +169,7 @@ def test_the_page_names_every_field(tmp_path):
         fields |= good.keys() | bad.keys()
         assert good["half_width"] == half_widths["unsheared"]
         assert good["label_error"] == {"edge_mm": 0.25}
-    _, table = Path("docs/robot.md").read_text().split("| field | what it is | there |")
+    _, table = Path("docs/stream.md").read_text().split("| field | what it is | there |")
     first = [row.split("|")[1] for row in table.split("\n\n")[0].splitlines()[2:]]
     assert fields == set(re.findall(r"`(\w+)`", " ".join(first)))
 
