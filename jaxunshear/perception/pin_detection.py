@@ -17,6 +17,7 @@ SINGLE_AREA_RANGE = (0.65, 1.35)
 PIN_AREA_RANGE = (0.4, 3)  # of the usual pin's area; specks and blobs are outside
 MASK_EDGE_SHARE = 0.47  # of the image's height: radius from which a pixel is at the mask's edge
 MIN_CLUSTER = 10  # points below which no distance is usual
+NEAREST = 8  # of a point, of which two belong to its cluster
 
 
 class DetectedPins(NamedTuple):
@@ -118,7 +119,13 @@ def _find_edge_pixels(height: int, width: int) -> np.ndarray:
 
 
 def _compute_usual_area(area: np.ndarray) -> float:
-    return float(np.median(area[area >= 0.25 * np.median(area)]))
+    return compute_median(area[area >= 0.25 * compute_median(area)])
+
+
+def compute_median(values: np.ndarray) -> float:
+    """Compute the median of values (N,); `numpy.median` spends most of its time on checks."""
+    ordered, middle = np.sort(values), len(values) // 2
+    return float(ordered[middle - 1 + len(values) % 2] + ordered[middle]) / 2
 
 
 def _is_in_range(area: np.ndarray, usual: float, limits: tuple[float, float]) -> np.ndarray:
@@ -168,19 +175,24 @@ def find_clusters(centre: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
     The limit is twice the usual distance between neighbours, and 1.5 times on the outline, where
     glints of the housing lie and the skin hardly stretches.
     """
-    rows = np.arange(len(centre))
-    distance = _measure_two_nearest(centre)
+    if len(centre) < MIN_CLUSTER:
+        return np.arange(len(centre))
+    distance, near = cKDTree(centre).query(centre, k=NEAREST + 1)
+    distance, near = distance[:, 1:], near[:, 1:]
+    kept = np.ones(len(centre), bool)
     for outline_only in (False, True, True):
+        rows = np.flatnonzero(kept)
         if len(rows) < MIN_CLUSTER:
-            return rows
-        usual = np.median(distance)
-        lonely = distance[:, 1] > (1.5 if outline_only else 2) * usual
+            break
+        is_kept = kept[near[rows]]
+        two = distance[rows][:, :2]
+        if not is_kept[:, :2].all():
+            two = np.sort(np.where(is_kept, distance[rows], np.inf), axis=1)[:, :2]
+        lonely = two[:, 1] > (1.5 if outline_only else 2) * compute_median(two.ravel())
         if outline_only and lonely.any():
             lonely &= np.isin(np.arange(len(rows)), find_hull(centre[rows]))
-        if lonely.any():
-            rows = rows[~lonely]
-            distance = _measure_two_nearest(centre[rows])
-    return rows
+        kept[rows[lonely]] = False
+    return np.flatnonzero(kept)
 
 
 def find_hull(points: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
@@ -192,8 +204,3 @@ def find_hull(points: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
         return ConvexHull(points).vertices
     except QhullError:
         return np.zeros(0, int)
-
-
-def _measure_two_nearest(centre: np.ndarray) -> np.ndarray:
-    """Measure the distances (N, 2) px from each point (N, 2) to the nearest two others."""
-    return cKDTree(centre).query(centre, k=3)[0][:, 1:]

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.perception.lattice import POLYNOMIAL_DEGREES, Lattice
+from jaxunshear.perception.pin_detection import compute_median
 
 MAX_MATCH_DISTANCE = 0.75  # of the spacing: beyond it a detected pin is another one
 # Fits of a polynomial, fewer if the distance of pairs falls by less than this ratio.
@@ -55,10 +56,10 @@ def match_iteratively(lattice: Lattice, detected: np.ndarray, motion: np.ndarray
     pairs = _pair_nearest(lattice.rest + motion, detected)
     for degree in POLYNOMIAL_DEGREES:
         for _ in range(REPEATS):
-            middle = _compute_median(pairs.distance)
+            middle = compute_median(pairs.distance)
             motion = _fit_polynomial(lattice, detected, pairs, degree)
             pairs = _pair_nearest(lattice.rest + motion, detected)
-            if _compute_median(pairs.distance) > CONVERGED_RATIO * middle:
+            if compute_median(pairs.distance) > CONVERGED_RATIO * middle:
                 break
     return _follow_neighbours(lattice, detected, pairs, motion)
 
@@ -75,7 +76,7 @@ def _fit_polynomial(
     lattice: Lattice, detected: np.ndarray, pairs: _Pairs, degree: int
 ) -> np.ndarray:
     """Fit a motion (P, 2) px, a polynomial of the rest position, to pairs; far ones count less."""
-    scale = max(2.5 * _compute_median(pairs.distance), 0.06 * lattice.spacing)
+    scale = max(2.5 * compute_median(pairs.distance), 0.06 * lattice.spacing)
     share = 1 / (1 + (pairs.distance / scale) ** 2)
     powers = lattice.powers[degree]
     paired = powers[pairs.pin]
@@ -100,14 +101,6 @@ def _follow_neighbours(
         motion = lattice.neighbour_weights @ matched
         pairs = _pair_nearest(lattice.rest + motion, detected)
     return identity
-
-
-def _compute_median(values: np.ndarray) -> float:
-    """Return the median, or the next above it.
-
-    `numpy.median` spends most of its time on checks, and this runs a dozen times an image.
-    """
-    return float(np.partition(values, len(values) // 2)[len(values) // 2])
 
 
 def _pair_nearest(expected: np.ndarray, detected: np.ndarray) -> _Pairs:

@@ -14,8 +14,8 @@ from jaxunshear.config.sensor import (
     Preprocess,
 )
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice, fit_lattice, make_layout
-from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.pin_detection import detect_pin_centres
+from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import (
     compute_plausibility,
     invert_image,
