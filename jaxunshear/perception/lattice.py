@@ -45,10 +45,18 @@ class Lattice(NamedTuple):
 
     def fill_missing(self, motion: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 2"]:
         """Fill the missing rows of a motion from the nearest ones that are not missing."""
-        visible = ~np.isnan(motion[:, 0])
-        nearest = cKDTree(self.rest[visible]).query(self.rest)[1]
-        guess = motion[visible][nearest]
-        return np.where(visible[:, None], motion, self.neighbour_weights @ guess)
+        missing = np.isnan(motion[:, 0])
+        rows, full = np.flatnonzero(missing), motion.copy()
+        if not len(rows):
+            return full
+        near = self.neighbours[rows]
+        nearest = near[np.arange(len(rows)), np.argmin(missing[near], axis=1)]
+        if missing[nearest].any():
+            visible = np.flatnonzero(~missing)
+            nearest = visible[cKDTree(self.rest[visible]).query(self.rest[rows])[1]]
+        full[rows] = motion[nearest]
+        full[rows] = self.neighbour_weights[rows] @ full
+        return full
 
     def fill_holes(self, motion: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 2"]:
         """Fill the rows of lost pins, and of inner ones that are missing, from their neighbours.
@@ -66,7 +74,7 @@ class Lattice(NamedTuple):
 
         Offsets are in units of the spacing; 0 for pins that are missing.
         """
-        full = self.fill_missing(motion) if np.isnan(motion).any() else motion
+        full = self.fill_missing(motion)
         offset = np.linalg.norm(full - self.neighbour_weights @ full, axis=-1) / self.spacing
         return np.where(np.isnan(motion[:, 0]), 0, offset)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxunshear.perception.lattice import POLYNOMIAL_DEGREES, Lattice
 from jaxunshear.perception.pin_detection import compute_median
+from jaxunshear.perception.pin_track import Rating, rate_identities
 
 MAX_MATCH_DISTANCE = 0.75  # of the spacing: beyond it a detected pin is another one
 # Fits of a polynomial, fewer if the distance of pairs falls by less than this ratio.
@@ -29,14 +30,16 @@ def fit_affine(lattice: Lattice, detected: np.ndarray, hidden: int) -> np.ndarra
     Where a side of the pins has left the view, the outermost, as many as are `hidden`, are left out
     of the comparison.
     """
-    rest, middle, spread = lattice.rest, detected.mean(axis=0), np.cov(detected.T)
+    rest, middle, spread = lattice.rest, detected.mean(axis=0), _compute_covariance(detected)
     compared = np.arange(len(rest))
     for _ in range(5):
         subset = rest[compared]
-        root = _root(np.cov(subset.T))
+        root = _root(_compute_covariance(subset))
         inverse = np.linalg.inv(root)
         stretch = inverse @ _root(root @ spread @ root) @ inverse
         position = (rest - subset.mean(axis=0)) @ stretch + middle
+        if not hidden:
+            break
         distance = np.linalg.norm(position - compute_middle(lattice), axis=-1)
         inner = np.sort(np.argsort(distance)[: len(rest) - hidden])
         if np.array_equal(inner, compared):
@@ -45,15 +48,24 @@ def fit_affine(lattice: Lattice, detected: np.ndarray, hidden: int) -> np.ndarra
     return position
 
 
+def _compute_covariance(points: np.ndarray) -> np.ndarray:
+    offset = points - points.mean(axis=0)
+    return offset.T @ offset / (len(points) - 1)
+
+
 def _root(matrix: np.ndarray) -> np.ndarray:
-    """Return the square root of a symmetric matrix."""
-    values, vectors = np.linalg.eigh(matrix)
-    return (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
+    """Return the square root of a symmetric matrix (2, 2) without negative eigenvalues."""
+    determinant = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] ** 2
+    root = np.sqrt(max(determinant, 0.0))
+    return (matrix + root * np.eye(2)) / np.sqrt(matrix[0, 0] + matrix[1, 1] + 2 * root)
 
 
-def match_iteratively(lattice: Lattice, detected: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Match pins to the rows (P,) of the detected ones, -1 for none, from a first motion (P, 2)."""
+def match_iteratively(lattice: Lattice, detected: np.ndarray, motion: np.ndarray) -> Rating:
+    """Match pins to the rows of the detected ones, from a first motion (P, 2)."""
     pairs = _pair_nearest(lattice.rest + motion, detected)
+    rating = _follow_neighbours(lattice, detected, pairs, motion)
+    if rating.complete:
+        return rating
     for degree in POLYNOMIAL_DEGREES:
         for _ in range(REPEATS):
             middle = compute_median(pairs.distance)
@@ -88,19 +100,23 @@ def _fit_polynomial(
 
 def _follow_neighbours(
     lattice: Lattice, detected: np.ndarray, pairs: _Pairs, motion: np.ndarray
-) -> np.ndarray:
-    """Match pins to detected ones (P,) while each pin follows the motion of its neighbours."""
-    identity = np.full(len(lattice.rest), -1)
+) -> Rating:
+    """Match pins to detected ones while each pin follows the motion of its neighbours."""
+    all_matched, identity = min(len(lattice.rest), len(detected)), np.zeros(0, int)
     for _ in range(NEIGHBOUR_REPEATS):
         near = pairs.distance <= MAX_MATCH_DISTANCE * lattice.spacing
         before, identity = identity, np.full(len(lattice.rest), -1)
         identity[pairs.pin[near]] = pairs.detected[near]
         if np.array_equal(before, identity):
             break
+        if near.sum() == all_matched:
+            rating = rate_identities(lattice, detected, identity)
+            if rating.calm:
+                return rating
         matched = np.where(identity[:, None] >= 0, detected[identity] - lattice.rest, motion)
         motion = lattice.neighbour_weights @ matched
         pairs = _pair_nearest(lattice.rest + motion, detected)
-    return identity
+    return rate_identities(lattice, detected, identity)
 
 
 def _pair_nearest(expected: np.ndarray, detected: np.ndarray) -> _Pairs:
@@ -112,6 +128,7 @@ def _pair_nearest(expected: np.ndarray, detected: np.ndarray) -> _Pairs:
     squares += (here**2).sum(axis=1)[:, None]
     squares += (there**2).sum(axis=1)
     nearest = squares.argmin(axis=1)
-    rows = np.flatnonzero(squares.argmin(axis=0)[nearest] == np.arange(len(expected)))
+    least = squares[np.arange(len(expected)), nearest]
+    rows = np.flatnonzero(squares.min(axis=0)[nearest] == least)
     columns = nearest[rows]
     return _Pairs(rows, columns, np.hypot(*(expected[rows] - detected[columns]).T))

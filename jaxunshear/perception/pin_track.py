@@ -107,13 +107,20 @@ def assess_track(
 class Rating(NamedTuple):
     """How smooth the identities of an image are."""
 
+    identity: np.ndarray  # (P,) row of the detected pins, -1 for none
     offset: np.ndarray  # (P,) `Lattice.measure_offsets`
     fault_count: float  # pins with an offset above MAX_OFFSET, plus half of the missing ones
+    left: int  # pins or detected ones without a partner, whichever are fewer
 
     @property
     def calm(self) -> bool:
         """Whether no offset is above the usual."""
         return bool(self.offset.max() <= MAX_OFFSET)
+
+    @property
+    def complete(self) -> bool:
+        """Whether besides all pins have a partner, or all detected ones."""
+        return self.left == 0 and self.calm
 
 
 def rate_identities(
@@ -121,36 +128,34 @@ def rate_identities(
 ) -> Rating:
     """Rate the identities of pins: their rows in the detected pins px, -1 for none."""
     identified = identity >= 0
+    left = min(len(identity), len(detected)) - int(identified.sum())
     if identified.mean() < MIN_IDENTIFIED_SHARE:
-        return Rating(np.full(len(identity), np.inf), np.inf)
+        return Rating(identity, np.full(len(identity), np.inf), np.inf, left)
     motion = np.where(identified[:, None], detected[identity] - lattice.rest, np.nan)
     offset = lattice.measure_offsets(motion)
-    return Rating(offset, float(np.sum(offset > MAX_OFFSET) + 0.5 * np.sum(~identified)))
+    fault_count = float(np.sum(offset > MAX_OFFSET) + 0.5 * np.sum(~identified))
+    return Rating(identity, offset, fault_count, left)
 
 
 def repair_identities(
-    lattice: Lattice,
-    detected: Float[np.ndarray, "N 2"],
-    tree: cKDTree,
-    identity: Int[np.ndarray, "P"],
+    lattice: Lattice, detected: Float[np.ndarray, "N 2"], rating: Rating
 ) -> Int[np.ndarray, "P"]:
-    """Replace doubtful identities where that leaves fewer faults.
-
-    `tree` holds the detected pins px; identities are their rows, -1 for none.
-    """
-    rating = rate_identities(lattice, detected, identity)
+    """Replace doubtful ones of rated identities where that leaves fewer faults."""
+    if rating.calm:
+        return rating.identity
+    tree = cKDTree(detected)
     for radius in ERASE_RADII:
-        if rating.calm:
-            break
         doubtful = cKDTree(lattice.rest[rating.offset > MAX_OFFSET])
         erased = doubtful.query(lattice.rest)[0] < radius * lattice.spacing
-        other = _grow_identities(lattice, detected, tree, np.where(erased, -1, identity))
-        if np.array_equal(other, identity):
+        grown = _grow_identities(lattice, detected, tree, np.where(erased, -1, rating.identity))
+        if np.array_equal(grown, rating.identity):
             break  # it grew back as it was
-        other_rating = rate_identities(lattice, detected, other)
-        if other_rating.fault_count < rating.fault_count:
-            identity, rating = other, other_rating
-    return identity
+        other = rate_identities(lattice, detected, grown)
+        if other.fault_count < rating.fault_count:
+            rating = other
+        if rating.calm:
+            break
+    return rating.identity
 
 
 def _grow_identities(
