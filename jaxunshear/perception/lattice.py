@@ -13,6 +13,8 @@ from jaxunshear.errors import UserError
 NEIGHBOURS = 18  # pins that predict the position of another one
 POLYNOMIAL_DEGREES = (2, 3, 4)  # of the polynomials that refine a motion, in turn
 INNER_RING_SHARE = 0.75  # of the outermost ring
+# By which a quadratic motion is drawn towards fewer terms, mostly on the rim.
+RIDGE = np.diag([1e-12, 0.05, 0.05, 0.5, 0.5, 0.5])
 RIM_RINGS = 2  # of the outermost rings, which show the view's shift
 
 
@@ -24,6 +26,8 @@ class Lattice(NamedTuple):
     spacing: float  # px, usual distance between neighbours
     neighbours: np.ndarray  # (P, NEIGHBOURS) the nearest other pins, the nearest first
     neighbour_weights: np.ndarray  # (P, P): their weights
+    neighbour_powers: np.ndarray  # (P, NEIGHBOURS, 6) of their offsets, up to squares
+    weighted_powers: np.ndarray  # (P, 6, NEIGHBOURS): nearer ones weigh more
     powers: dict[int, np.ndarray]  # by degree, (P, terms) polynomials of the rest position
     lost: tuple[int, ...] = ()  # pins that are no longer on the dome, in order
     intact: "Lattice | None" = None  # the lattice of the other pins, if any are lost
@@ -75,7 +79,7 @@ class Lattice(NamedTuple):
         Offsets are in units of the spacing; 0 for pins that are missing.
         """
         full = self.fill_missing(motion)
-        offset = np.linalg.norm(full - self.neighbour_weights @ full, axis=-1) / self.spacing
+        offset = np.hypot(*(full - self.neighbour_weights @ full).T) / self.spacing
         return np.where(np.isnan(motion[:, 0]), 0, offset)
 
 
@@ -106,10 +110,15 @@ def make_lattice(
     powers = {degree: _powers(unit, degree) for degree in POLYNOMIAL_DEGREES}
     ring = estimate_rings(rest) if ring is None else ring
     near = cKDTree(rest).query(rest, k=min(NEIGHBOURS + 1, len(rest)))[1][:, 1:]
-    near_weights = compute_neighbour_weights(rest[near] - rest[:, None], spacing)
+    near_offset = (rest[near] - rest[:, None]) / spacing
+    near_powers = _powers(near_offset, 2)
+    weighted = np.swapaxes(near_powers / (1 + (near_offset**2).sum(-1))[..., None], -1, -2)
     weights = np.zeros((len(rest), len(rest)))
+    near_weights = np.linalg.solve(weighted @ near_powers + RIDGE, weighted)[:, 0]
     np.put_along_axis(weights, near, near_weights, axis=1)
-    lattice = Lattice(rest, ring, spacing, near, weights, powers, tuple(sorted(lost)))
+    lattice = Lattice(
+        rest, ring, spacing, near, weights, near_powers, weighted, powers, tuple(sorted(lost))
+    )
     if not lattice.lost:
         return lattice
     return lattice._replace(intact=make_lattice(rest[lattice.remaining], ring[lattice.remaining]))
@@ -137,23 +146,3 @@ def _powers(x: np.ndarray, degree: int) -> np.ndarray:
     """Return the monomials (..., terms) of x (..., 2) up to a degree."""
     pairs = [(i, n - i) for n in range(degree + 1) for i in range(n + 1)]
     return np.stack([x[..., 0] ** i * x[..., 1] ** j for i, j in pairs], axis=-1)
-
-
-def compute_neighbour_weights(
-    offset: Float[np.ndarray, "M N 2"],
-    spacing: float,
-    usable: Bool[np.ndarray, "M N"] | None = None,
-) -> Float[np.ndarray, "M N"]:
-    """Compute weights of neighbours at offsets px, by which their motions give a pin's motion.
-
-    They fit a quadratic motion to the neighbours and read it at the pin. Neighbours that are not
-    `usable` get no weight.
-    """
-    offset = offset / spacing
-    share = 1 / (1 + (offset**2).sum(-1))
-    if usable is not None:
-        share = share * usable
-    design = _powers(offset, 2)
-    ridge = np.diag([1e-12, 0.05, 0.05, 0.5, 0.5, 0.5])  # towards fewer terms, mostly on the rim
-    weighted = np.swapaxes(design * share[..., None], -1, -2)
-    return np.linalg.solve(weighted @ design + ridge, weighted)[..., 0, :]
