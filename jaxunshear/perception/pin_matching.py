@@ -61,13 +61,16 @@ def _root(matrix: np.ndarray) -> np.ndarray:
 
 
 def match_iteratively(lattice: Lattice, detected: np.ndarray, motion: np.ndarray) -> Rating:
-    """Match pins to the rows of the detected ones, from a first motion (P, 2)."""
+    """Match pins to the rows of the detected ones, from a first motion (P, 2).
+
+    Ends as soon as all have a partner that moves as its neighbours do.
+    """
     pairs = _pair_nearest(lattice.rest + motion, detected)
-    rating = _follow_neighbours(lattice, detected, pairs, motion)
-    if rating.complete:
-        return rating
     for degree in POLYNOMIAL_DEGREES:
         for _ in range(REPEATS):
+            rating = _rate_complete(lattice, detected, pairs)
+            if rating is not None:
+                return rating
             middle = compute_median(pairs.distance)
             motion = _fit_polynomial(lattice, detected, pairs, degree)
             pairs = _pair_nearest(lattice.rest + motion, detected)
@@ -102,21 +105,34 @@ def _follow_neighbours(
     lattice: Lattice, detected: np.ndarray, pairs: _Pairs, motion: np.ndarray
 ) -> Rating:
     """Match pins to detected ones while each pin follows the motion of its neighbours."""
-    all_matched, identity = min(len(lattice.rest), len(detected)), np.zeros(0, int)
+    identity = np.zeros(0, int)
     for _ in range(NEIGHBOUR_REPEATS):
-        near = pairs.distance <= MAX_MATCH_DISTANCE * lattice.spacing
-        before, identity = identity, np.full(len(lattice.rest), -1)
-        identity[pairs.pin[near]] = pairs.detected[near]
+        rating = _rate_complete(lattice, detected, pairs)
+        if rating is not None:
+            return rating
+        before, identity = identity, _identify(lattice, pairs)
         if np.array_equal(before, identity):
             break
-        if near.sum() == all_matched:
-            rating = rate_identities(lattice, detected, identity)
-            if rating.calm:
-                return rating
         matched = np.where(identity[:, None] >= 0, detected[identity] - lattice.rest, motion)
         motion = lattice.neighbour_weights @ matched
         pairs = _pair_nearest(lattice.rest + motion, detected)
     return rate_identities(lattice, detected, identity)
+
+
+def _rate_complete(lattice: Lattice, detected: np.ndarray, pairs: _Pairs) -> Rating | None:
+    """Rate pairs if they leave no pin over, or no detected one, and are calm; else return None."""
+    if len(pairs.pin) < min(len(lattice.rest), len(detected)):
+        return None
+    rating = rate_identities(lattice, detected, _identify(lattice, pairs))
+    return rating if rating.complete else None
+
+
+def _identify(lattice: Lattice, pairs: _Pairs) -> np.ndarray:
+    """Return the rows (P,) of the detected pins in pairs, -1 for those that are too far."""
+    identity = np.full(len(lattice.rest), -1)
+    near = pairs.distance <= MAX_MATCH_DISTANCE * lattice.spacing
+    identity[pairs.pin[near]] = pairs.detected[near]
+    return identity
 
 
 def _pair_nearest(expected: np.ndarray, detected: np.ndarray) -> _Pairs:
