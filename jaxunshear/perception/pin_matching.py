@@ -139,10 +139,10 @@ def _pair_nearest(expected: np.ndarray, detected: np.ndarray) -> _Pairs:
     """Pair the expected and detected pins that are each other's nearest."""
     # For some hundred pins all distances at once take less time than trees do.
     middle = detected.mean(axis=0)
-    here, there = (expected - middle).astype(np.float32), (detected - middle).astype(np.float32)
-    squares = here @ (-2 * there.T)
-    squares += (here**2).sum(axis=1)[:, None]
-    squares += (there**2).sum(axis=1)
+    here, there = expected - middle, detected - middle
+    left = np.column_stack([here, (here**2).sum(axis=1), np.ones(len(here))])
+    right = np.column_stack([-2 * there, np.ones(len(there)), (there**2).sum(axis=1)])
+    squares = left.astype(np.float32) @ right.astype(np.float32).T
     nearest = squares.argmin(axis=1)
     least = squares[np.arange(len(expected)), nearest]
     rows = np.flatnonzero(squares.min(axis=0)[nearest] == least)

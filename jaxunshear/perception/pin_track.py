@@ -170,19 +170,21 @@ def _grow_identities(
         while True:
             identified = identity >= 0
             support = identified[lattice.neighbours[:, :NEAREST]].sum(axis=1)
-            support = np.where(identified | failed, -1, support)
-            if support.max() < MIN_KNOWN_NEIGHBOURS:
+            pins = np.flatnonzero(~(identified | failed) & (support >= MIN_KNOWN_NEIGHBOURS))
+            if not len(pins):
                 break
-            pins = np.flatnonzero(support >= max(MIN_KNOWN_NEIGHBOURS, support.max() - 1))
             distance, nearest = tree.query(_predict_positions(lattice, detected, identity, pins))
-            failed[pins] = True
-            for row in np.argsort(distance):
-                if distance[row] < limit * lattice.spacing and not used[nearest[row]]:
+            near = (distance < limit * lattice.spacing) & ~used[nearest]
+            failed[pins[~near]] = True
+            if not near.any():
+                break
+            near &= support[pins] >= support[pins[near]].max() - 1
+            for row in np.flatnonzero(near)[np.argsort(distance[near])]:
+                if not used[nearest[row]]:
                     identity[pins[row]] = nearest[row]
                     used[nearest[row]] = True
             grown = ~identified & (identity >= 0)
-            if grown.any():
-                failed[grown[lattice.neighbours].any(axis=1)] = False
+            failed[grown[lattice.neighbours].any(axis=1)] = False
     return identity
 
 
