@@ -152,6 +152,8 @@ def _split_at_waists(parts: _Components, merged: np.ndarray, diameter: float) ->
     peaks = _find_peaks(smooth, max(1, round(0.8 + 0.3 * diameter)))
     markers = np.zeros(white.shape, int)
     markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
+    # of equal peaks the first is flooded first, whatever other components are on the canvas
+    smooth[tuple(peaks.T)] += 1e-9 * np.arange(len(peaks), 0, -1)
     pieces = watershed(-smooth, markers, mask=white)[place] - 1
     return _measure_parts(row, column, pieces, len(peaks))
 

@@ -170,7 +170,8 @@ def _grow_identities(
         while True:
             identified = identity >= 0
             support = identified[lattice.neighbours[:, :NEAREST]].sum(axis=1)
-            pins = np.flatnonzero(~(identified | failed) & (support >= MIN_KNOWN_NEIGHBOURS))
+            candidate = ~identified & (support >= MIN_KNOWN_NEIGHBOURS)
+            pins = np.flatnonzero(candidate & ~failed)
             if not len(pins):
                 break
             distance, nearest = tree.query(_predict_positions(lattice, detected, identity, pins))
@@ -178,8 +179,10 @@ def _grow_identities(
             failed[pins[~near]] = True
             if not near.any():
                 break
-            near &= support[pins] >= support[pins[near]].max() - 1
-            for row in np.flatnonzero(near)[np.argsort(distance[near])]:
+            level = support[candidate].max()
+            while not (first := near & (support[pins] >= level - 1)).any():
+                level = support[candidate & (support < level - 1)].max()
+            for row in np.flatnonzero(first)[np.argsort(distance[first])]:
                 if not used[nearest[row]]:
                     identity[pins[row]] = nearest[row]
                     used[nearest[row]] = True
