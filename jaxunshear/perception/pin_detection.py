@@ -61,9 +61,10 @@ def detect_pins(image: np.ndarray) -> DetectedPins:
     if not candidate.any():
         return DetectedPins(np.zeros((0, 2)), mask=mask)
     usual = _compute_usual_area(parts.area[candidate])
-    is_long = length > MERGED_LENGTH * 2 * np.sqrt(usual / np.pi)
-    merged = candidate & (is_long | (parts.area > MERGED_AREA * usual))
-    pieces = _split_at_waists(parts, merged, 2 * np.sqrt(usual / np.pi))
+    diameter = 2 * np.sqrt(usual / np.pi)
+    is_large = (length > MERGED_LENGTH * diameter) | (parts.area > MERGED_AREA * usual)
+    merged = candidate & is_large
+    pieces = _split_at_waists(parts, merged, diameter)
     lone = candidate & ~merged
     centre = np.concatenate([parts.centre[lone], pieces.centre])
     area = np.concatenate([parts.area[lone], pieces.area])

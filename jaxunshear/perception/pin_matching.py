@@ -1,7 +1,7 @@
 """Match the pins of a lattice to detected ones, from a first motion.
 
 Pairs of mutually nearest pins refine polynomials of rising degree, and last each pin follows its
-neighbours.
+neighbours. The first pairs that leave no pin over and move smoothly end the search.
 """
 
 from typing import NamedTuple
