@@ -17,7 +17,7 @@ SINGLE_AREA_RANGE = (0.65, 1.35)
 PIN_AREA_RANGE = (0.4, 3)  # of the usual pin's area; specks and blobs are outside
 MASK_EDGE_SHARE = 0.47  # of the image's height: radius from which a pixel is at the mask's edge
 MIN_CLUSTER = 10  # points below which no distance is usual
-NEAREST = 4  # of a point, of which two belong to its cluster
+CLUSTER_NEIGHBOURS = 4  # of a point, of which two belong to its cluster
 
 
 class DetectedPins(NamedTuple):
@@ -180,7 +180,7 @@ def find_clusters(centre: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
     """
     if len(centre) < MIN_CLUSTER:
         return np.arange(len(centre))
-    distance, near = cKDTree(centre).query(centre, k=NEAREST + 1)
+    distance, near = cKDTree(centre).query(centre, k=CLUSTER_NEIGHBOURS + 1)
     distance, near = distance[:, 1:], near[:, 1:]
     kept = np.ones(len(centre), bool)
     for outline_only in (False, True, True):
