@@ -9,14 +9,14 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from jaxunshear.config.configs import PAIRED, get_config_sensor
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.sensor import Nuisance
-from jaxunshear.data.simulation import simulate_contacts
+from jaxunshear.data.simulation import SimulatedContacts, simulate_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.lattice import Lattice
@@ -51,6 +51,28 @@ def bench_pins(size: int | None = None, seed: int = 0) -> list[Json]:
 
 
 def _measure_sensor(config: str, size: int, seed: int) -> list[Json]:
+    contacts, lattice = simulate_frames(config, size, FRAMES, seed)
+    frames = {
+        "tap": (contacts.tap, contacts.tap_pins),
+        "sheared": (contacts.sheared, contacts.sheared_pins),
+    }
+    sensor = get_config_sensor(config).name
+    rows = []
+    for kind, (images, pins) in frames.items():
+        row = {"name": f"{sensor}/{kind}", "sensor": sensor, "kind": kind, "size": size}
+        rows.append(row | compare_pins(lattice, images, pins))
+    return rows
+
+
+class Frames(NamedTuple):
+    """Simulated contacts, with the lattice of an untouched dome in the same images."""
+
+    contacts: SimulatedContacts
+    lattice: Lattice
+
+
+def simulate_frames(config: str, size: int, count: int, seed: int) -> Frames:
+    """Simulate taps and slides with the sensor and camera of a config, in images of `size` px."""
     before = PAIRED[config]
     paired = replace(
         before,
@@ -59,28 +81,18 @@ def _measure_sensor(config: str, size: int, seed: int) -> list[Json]:
         nuisance=Nuisance(drift_px=1.0 * size / 128, drift_brightness=0.1),
     )
     experiment = Experiment("bench_pins", "none", sensor=get_config_sensor(config), paired=paired)
-    contacts = simulate_contacts(experiment, FRAMES, seed)
     lattice = compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
-    frames = {
-        "tap": (contacts.tap, contacts.tap_pins),
-        "sheared": (contacts.sheared, contacts.sheared_pins),
-    }
-    sensor = experiment.sensor.name
-    rows = []
-    for kind, (images, pins) in frames.items():
-        row = {"name": f"{sensor}/{kind}", "sensor": sensor, "kind": kind, "size": size}
-        rows.append(row | compare_pins(lattice, images, pins))
-    return rows
+    return Frames(simulate_contacts(experiment, count, seed), lattice)
 
 
 def compare_pins(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> Json:
     """Compare the pins in images (N, S, S) with true pins (N, P, 2) px: errors and times."""
-    detections, find_ms = _time_items(detect_pins, images)
-    tracks, follow_ms = _time_items(lambda each: track_pins(lattice, each), detections)
+    detections, find_ms = time_items(detect_pins, images)
+    tracks, follow_ms = time_items(lambda each: track_pins(lattice, each), detections)
     prior = fit_motion_prior(lattice, tracks)
     for row, track in enumerate(tracks):
         if prior is not None and not track.identified:
-            (tracks[row],), more_ms = _time_items(
+            (tracks[row],), more_ms = time_items(
                 lambda each: track_pins(lattice, each, prior), detections[row : row + 1]
             )
             follow_ms[row] += more_ms[0]
@@ -108,13 +120,13 @@ Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 
 
-def _time_items(
+def time_items(
     work: Callable[[Item], Answer], items: Iterable[Item]
 ) -> tuple[list[Answer], np.ndarray]:
-    """Return the answers, and milliseconds (N,) of each."""
+    """Return the answers, and milliseconds (N,) of processor time of each."""
     answers, times_ms = [], []
     for item in items:
-        start = time.perf_counter()
+        start = time.process_time()
         answers.append(work(item))
-        times_ms.append(1e3 * (time.perf_counter() - start))
+        times_ms.append(1e3 * (time.process_time() - start))
     return answers, np.array(times_ms)

@@ -54,6 +54,10 @@ COMMANDS = {
     "pins": Benchmark(
         "error and time of finding the pins of images", "bench_pins", ("size", "seed")
     ),
+    "read": Benchmark(
+        "the time of reading the pins of a frame, beside a plain pass of labels and centroids",
+        "bench_read",
+    ),
     "lost_pins": Benchmark(
         "images that are sure, and the error of pins, while pins are lost and dust comes",
         "bench_lost_pins",

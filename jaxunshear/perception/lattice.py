@@ -13,6 +13,8 @@ from jaxunshear.errors import UserError
 NEIGHBOURS = 18  # pins that predict the position of another one
 POLYNOMIAL_DEGREES = (2, 3, 4)  # of the polynomials that refine a motion, in turn
 INNER_RING_SHARE = 0.75  # of the outermost ring
+# By which a quadratic motion is drawn towards fewer terms, mostly on the rim.
+RIDGE = np.diag([1e-12, 0.05, 0.05, 0.5, 0.5, 0.5])
 RIM_RINGS = 2  # of the outermost rings, which show the view's shift
 
 
@@ -24,6 +26,8 @@ class Lattice(NamedTuple):
     spacing: float  # px, usual distance between neighbours
     neighbours: np.ndarray  # (P, NEIGHBOURS) the nearest other pins, the nearest first
     neighbour_weights: np.ndarray  # (P, P): their weights
+    neighbour_powers: np.ndarray  # (P, NEIGHBOURS, 6) of their offsets, up to squares
+    weighted_powers: np.ndarray  # (P, 6, NEIGHBOURS): nearer ones weigh more
     powers: dict[int, np.ndarray]  # by degree, (P, terms) polynomials of the rest position
     lost: tuple[int, ...] = ()  # pins that are no longer on the dome, in order
     intact: "Lattice | None" = None  # the lattice of the other pins, if any are lost
@@ -45,10 +49,18 @@ class Lattice(NamedTuple):
 
     def fill_missing(self, motion: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 2"]:
         """Fill the missing rows of a motion from the nearest ones that are not missing."""
-        visible = ~np.isnan(motion[:, 0])
-        nearest = cKDTree(self.rest[visible]).query(self.rest)[1]
-        guess = motion[visible][nearest]
-        return np.where(visible[:, None], motion, self.neighbour_weights @ guess)
+        missing = np.isnan(motion[:, 0])
+        rows, full = np.flatnonzero(missing), motion.copy()
+        if not len(rows):
+            return full
+        near = self.neighbours[rows]
+        nearest = near[np.arange(len(rows)), np.argmin(missing[near], axis=1)]
+        if missing[nearest].any():
+            visible = np.flatnonzero(~missing)
+            nearest = visible[cKDTree(self.rest[visible]).query(self.rest[rows])[1]]
+        full[rows] = motion[nearest]
+        full[rows] = self.neighbour_weights[rows] @ full
+        return full
 
     def fill_holes(self, motion: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 2"]:
         """Fill the rows of lost pins, and of inner ones that are missing, from their neighbours.
@@ -66,8 +78,8 @@ class Lattice(NamedTuple):
 
         Offsets are in units of the spacing; 0 for pins that are missing.
         """
-        full = self.fill_missing(motion) if np.isnan(motion).any() else motion
-        offset = np.linalg.norm(full - self.neighbour_weights @ full, axis=-1) / self.spacing
+        full = self.fill_missing(motion)
+        offset = np.hypot(*(full - self.neighbour_weights @ full).T) / self.spacing
         return np.where(np.isnan(motion[:, 0]), 0, offset)
 
 
@@ -98,10 +110,15 @@ def make_lattice(
     powers = {degree: _powers(unit, degree) for degree in POLYNOMIAL_DEGREES}
     ring = estimate_rings(rest) if ring is None else ring
     near = cKDTree(rest).query(rest, k=min(NEIGHBOURS + 1, len(rest)))[1][:, 1:]
-    near_weights = compute_neighbour_weights(rest[near] - rest[:, None], spacing)
+    near_offset = (rest[near] - rest[:, None]) / spacing
+    near_powers = _powers(near_offset, 2)
+    weighted = np.swapaxes(near_powers / (1 + (near_offset**2).sum(-1))[..., None], -1, -2)
     weights = np.zeros((len(rest), len(rest)))
+    near_weights = np.linalg.solve(weighted @ near_powers + RIDGE, weighted)[:, 0]
     np.put_along_axis(weights, near, near_weights, axis=1)
-    lattice = Lattice(rest, ring, spacing, near, weights, powers, tuple(sorted(lost)))
+    lattice = Lattice(
+        rest, ring, spacing, near, weights, near_powers, weighted, powers, tuple(sorted(lost))
+    )
     if not lattice.lost:
         return lattice
     return lattice._replace(intact=make_lattice(rest[lattice.remaining], ring[lattice.remaining]))
@@ -129,23 +146,3 @@ def _powers(x: np.ndarray, degree: int) -> np.ndarray:
     """Return the monomials (..., terms) of x (..., 2) up to a degree."""
     pairs = [(i, n - i) for n in range(degree + 1) for i in range(n + 1)]
     return np.stack([x[..., 0] ** i * x[..., 1] ** j for i, j in pairs], axis=-1)
-
-
-def compute_neighbour_weights(
-    offset: Float[np.ndarray, "M N 2"],
-    spacing: float,
-    usable: Bool[np.ndarray, "M N"] | None = None,
-) -> Float[np.ndarray, "M N"]:
-    """Compute weights of neighbours at offsets px, by which their motions give a pin's motion.
-
-    They fit a quadratic motion to the neighbours and read it at the pin. Neighbours that are not
-    `usable` get no weight.
-    """
-    offset = offset / spacing
-    share = 1 / (1 + (offset**2).sum(-1))
-    if usable is not None:
-        share = share * usable
-    design = _powers(offset, 2)
-    ridge = np.diag([1e-12, 0.05, 0.05, 0.5, 0.5, 0.5])  # towards fewer terms, mostly on the rim
-    weighted = np.swapaxes(design * share[..., None], -1, -2)
-    return np.linalg.solve(weighted @ design + ridge, weighted)[..., 0, :]

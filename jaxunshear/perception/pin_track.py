@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from jaxunshear.perception.lattice import Lattice, compute_neighbour_weights
+from jaxunshear.perception.lattice import RIDGE, Lattice
 from jaxunshear.perception.pin_detection import DetectedPins, MeasuredPins
 
 NEAREST = 8  # neighbours of a pin that it is grown from
@@ -107,13 +107,20 @@ def assess_track(
 class Rating(NamedTuple):
     """How smooth the identities of an image are."""
 
+    identity: np.ndarray  # (P,) row of the detected pins, -1 for none
     offset: np.ndarray  # (P,) `Lattice.measure_offsets`
     fault_count: float  # pins with an offset above MAX_OFFSET, plus half of the missing ones
+    left: int  # pins or detected ones without a partner, whichever are fewer
 
     @property
     def calm(self) -> bool:
         """Whether no offset is above the usual."""
         return bool(self.offset.max() <= MAX_OFFSET)
+
+    @property
+    def complete(self) -> bool:
+        """Whether besides all pins have a partner, or all detected ones."""
+        return self.left == 0 and self.calm
 
 
 def rate_identities(
@@ -121,36 +128,34 @@ def rate_identities(
 ) -> Rating:
     """Rate the identities of pins: their rows in the detected pins px, -1 for none."""
     identified = identity >= 0
+    left = min(len(identity), len(detected)) - int(identified.sum())
     if identified.mean() < MIN_IDENTIFIED_SHARE:
-        return Rating(np.full(len(identity), np.inf), np.inf)
+        return Rating(identity, np.full(len(identity), np.inf), np.inf, left)
     motion = np.where(identified[:, None], detected[identity] - lattice.rest, np.nan)
     offset = lattice.measure_offsets(motion)
-    return Rating(offset, float(np.sum(offset > MAX_OFFSET) + 0.5 * np.sum(~identified)))
+    fault_count = float(np.sum(offset > MAX_OFFSET) + 0.5 * np.sum(~identified))
+    return Rating(identity, offset, fault_count, left)
 
 
 def repair_identities(
-    lattice: Lattice,
-    detected: Float[np.ndarray, "N 2"],
-    tree: cKDTree,
-    identity: Int[np.ndarray, "P"],
+    lattice: Lattice, detected: Float[np.ndarray, "N 2"], rating: Rating
 ) -> Int[np.ndarray, "P"]:
-    """Replace doubtful identities where that leaves fewer faults.
-
-    `tree` holds the detected pins px; identities are their rows, -1 for none.
-    """
-    rating = rate_identities(lattice, detected, identity)
+    """Replace doubtful ones of rated identities where that leaves fewer faults."""
+    if rating.calm:
+        return rating.identity
+    tree = cKDTree(detected)
     for radius in ERASE_RADII:
-        if rating.calm:
-            break
         doubtful = cKDTree(lattice.rest[rating.offset > MAX_OFFSET])
         erased = doubtful.query(lattice.rest)[0] < radius * lattice.spacing
-        other = _grow_identities(lattice, detected, tree, np.where(erased, -1, identity))
-        if np.array_equal(other, identity):
+        grown = _grow_identities(lattice, detected, tree, np.where(erased, -1, rating.identity))
+        if np.array_equal(grown, rating.identity):
             break  # it grew back as it was
-        other_rating = rate_identities(lattice, detected, other)
-        if other_rating.fault_count < rating.fault_count:
-            identity, rating = other, other_rating
-    return identity
+        other = rate_identities(lattice, detected, grown)
+        if other.fault_count < rating.fault_count:
+            rating = other
+        if rating.calm:
+            break
+    return rating.identity
 
 
 def _grow_identities(
@@ -161,24 +166,28 @@ def _grow_identities(
     used = np.zeros(len(detected), bool)
     used[identity[identity >= 0]] = True
     for limit in GROW_RADII:
-        failed = np.zeros(len(identity), bool)  # tried in vain since the last success
+        failed = np.zeros(len(identity), bool)  # tried in vain since a neighbour was identified
         while True:
             identified = identity >= 0
             support = identified[lattice.neighbours[:, :NEAREST]].sum(axis=1)
-            support = np.where(identified | failed, -1, support)
-            if support.max() < MIN_KNOWN_NEIGHBOURS:
+            candidate = ~identified & (support >= MIN_KNOWN_NEIGHBOURS)
+            pins = np.flatnonzero(candidate & ~failed)
+            if not len(pins):
                 break
-            pins = np.flatnonzero(support >= max(MIN_KNOWN_NEIGHBOURS, support.max() - 1))
             distance, nearest = tree.query(_predict_positions(lattice, detected, identity, pins))
-            grew = False
-            for row in np.argsort(distance):
-                if distance[row] < limit * lattice.spacing and not used[nearest[row]]:
+            near = (distance < limit * lattice.spacing) & ~used[nearest]
+            failed[pins[~near]] = True
+            if not near.any():
+                break
+            level = support[candidate].max()
+            while not (first := near & (support[pins] >= level - 1)).any():
+                level = support[candidate & (support < level - 1)].max()
+            for row in np.flatnonzero(first)[np.argsort(distance[first])]:
+                if not used[nearest[row]]:
                     identity[pins[row]] = nearest[row]
-                    used[nearest[row]] = grew = True
-            if grew:
-                failed[:] = False
-            else:
-                failed[pins] = True
+                    used[nearest[row]] = True
+            grown = ~identified & (identity >= 0)
+            failed[grown[lattice.neighbours].any(axis=1)] = False
     return identity
 
 
@@ -186,12 +195,12 @@ def _predict_positions(
     lattice: Lattice, detected: np.ndarray, identity: np.ndarray, pins: np.ndarray
 ) -> np.ndarray:
     """Predict the positions (M, 2) px of pins (M,) from their identified neighbours."""
-    near, rest = lattice.neighbours[pins], lattice.rest
-    identified = identity[near] >= 0
-    offset = rest[near] - rest[pins][:, None]
-    weight = compute_neighbour_weights(offset, lattice.spacing, identified)
-    motion = np.where(identified[..., None], detected[identity[near]] - rest[near], 0)
-    return rest[pins] + np.einsum("mn,mnc->mc", weight, motion)
+    near = lattice.neighbours[pins]
+    partner = identity[near]
+    weighted = lattice.weighted_powers[pins] * (partner >= 0)[:, None]
+    normal = weighted @ lattice.neighbour_powers[pins] + RIDGE
+    motion = detected[partner] - lattice.rest[near]
+    return lattice.rest[pins] + np.linalg.solve(normal, weighted @ motion)[:, 0]
 
 
 def refine_track(lattice: Lattice, track: PinTrack, detected: DetectedPins) -> PinTrack:
@@ -199,15 +208,18 @@ def refine_track(lattice: Lattice, track: PinTrack, detected: DetectedPins) -> P
     if detected.mask is None or track.visible.mean() < MIN_IDENTIFIED_SHARE:
         return track
     motion = lattice.fill_missing(track.motion)
-    expected = lattice.rest + lattice.neighbour_weights @ motion
-    again = ~track.visible | (lattice.measure_offsets(track.motion) > MIN_OFFSET)
+    expected = lattice.neighbour_weights @ motion
+    off = np.hypot(*(motion - expected).T) > MIN_OFFSET * lattice.spacing
+    again = ~track.visible | off
     if not again.any():
         return track
-    start = position = expected[again]
+    start = position = (lattice.rest + expected)[again]
+    margin = int(np.ceil(detected.radius)) + 1
+    white = np.pad(detected.mask, margin)
     for _ in range(STEPS):
-        position, area = _measure_windows(detected.mask, position, detected.radius)
+        position, area = _measure_windows(white, margin, position, detected.radius)
     share = area / (np.pi * detected.radius**2)
-    near = np.linalg.norm(position - start, axis=-1) < MAX_WINDOW_SHIFT * lattice.spacing
+    near = np.hypot(*(position - start).T) < MAX_WINDOW_SHIFT * lattice.spacing
     good = (share > AREA_RANGE[0]) & (share < AREA_RANGE[1]) & near
     motion[again] = np.where(good[:, None], position - lattice.rest[again], np.nan)
     for _ in range(MAX_RIM_DEPTH):
@@ -234,24 +246,30 @@ def _snap_to_dots(
     dots = detected.pins[detected.is_single]
     if not (len(rows) and len(dots)):
         return track
-    distance, nearest = cKDTree(dots).query(lattice.rest[rows] + track.motion[rows])
-    near = distance < MIN_OFFSET * lattice.spacing
+    place = lattice.rest[rows] + track.motion[rows]
+    squares = ((place[:, None] - dots) ** 2).sum(axis=-1)
+    near = squares.min(axis=1) < (MIN_OFFSET * lattice.spacing) ** 2
     motion = track.motion.copy()
-    motion[rows[near]] = dots[nearest[near]] - lattice.rest[rows[near]]
+    motion[rows[near]] = dots[squares[near].argmin(axis=1)] - lattice.rest[rows[near]]
     return track._replace(motion=motion)
 
 
-def _measure_windows(white: np.ndarray, position: np.ndarray, radius: float) -> MeasuredPins:
-    """Measure the white (S, S) within a radius px of positions (N, 2) px, column first."""
-    half = int(np.ceil(radius)) + 1
-    line = np.arange(-half, half + 1)
-    size = np.array(white.shape)[::-1]
-    middle = np.clip(np.round(position).astype(int), 0, size - 1)
+def _measure_windows(
+    white: np.ndarray, margin: int, position: np.ndarray, radius: float
+) -> MeasuredPins:
+    """Measure the white within a radius px of positions (N, 2) px, column first.
+
+    `white` is the mask (S, S) with a black margin, which holds the half of a window.
+    """
+    line = np.arange(-margin, margin + 1)
+    size = np.array(white.shape)[::-1] - 2 * margin
+    middle = np.clip(np.rint(position).astype(int), 0, size - 1)
     columns, rows = middle[:, :1] + line, middle[:, 1:] + line
-    patch = np.pad(white, half)[rows[:, :, None] + half, columns[:, None, :] + half]
-    dx = columns[:, None, :] - position[:, 0, None, None]
-    dy = rows[:, :, None] - position[:, 1, None, None]
+    patch = white[rows[:, :, None] + margin, columns[:, None, :] + margin]
+    dx = (columns - position[:, :1])[:, None, :]
+    dy = (rows - position[:, 1:])[:, :, None]
     weight = np.clip(radius + 0.5 - np.hypot(dx, dy), 0, 1) * patch
-    area = weight.sum(axis=(1, 2))
-    moment = np.stack([(weight * dx).sum(axis=(1, 2)), (weight * dy).sum(axis=(1, 2))], -1)
+    across, down = weight.sum(axis=1), weight.sum(axis=2)
+    area = across.sum(axis=1)
+    moment = np.stack([(across * dx[:, 0]).sum(axis=1), (down * dy[:, :, 0]).sum(axis=1)], -1)
     return MeasuredPins(position + moment / np.maximum(area, 1e-9)[:, None], area)

@@ -24,7 +24,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from jaxunshear.angles import rotation_2d
 from jaxunshear.perception.lattice import Lattice
@@ -33,9 +32,9 @@ from jaxunshear.perception.pin_matching import compute_middle, fit_affine, match
 from jaxunshear.perception.pin_track import (
     MIN_DETECTED_SHARE,
     PinTrack,
+    Rating,
     add_lost_pins,
     assess_track,
-    rate_identities,
     refine_track,
     repair_identities,
 )
@@ -125,28 +124,25 @@ def track_pins(
     best = PinTrack(missing, np.full(pins, -1), float("inf"), pins, count, False)
     if count < MIN_DETECTED_SHARE * pins:
         return best
-    tree, postponed = cKDTree(detected.pins), []
+    postponed = []
     for motion in _propose_motions(lattice, detected.pins, prior):
-        identity = match_iteratively(lattice, detected.pins, motion)
-        fault_count = rate_identities(lattice, detected.pins, identity).fault_count
-        if fault_count > MAX_FAULT_SHARE * pins:
-            postponed.append((fault_count, identity))
+        rating = match_iteratively(lattice, detected.pins, motion)
+        if rating.fault_count > MAX_FAULT_SHARE * pins:
+            postponed.append(rating)
             continue
-        best = _choose_better(best, _finish_track(lattice, detected, tree, identity))
+        best = _choose_better(best, _finish_track(lattice, detected, rating))
         if best.identified:
             return best
-    for _, identity in sorted(postponed, key=lambda pair: pair[0])[:MAX_REPAIRED]:
-        best = _choose_better(best, _finish_track(lattice, detected, tree, identity))
+    for rating in sorted(postponed, key=lambda rating: rating.fault_count)[:MAX_REPAIRED]:
+        best = _choose_better(best, _finish_track(lattice, detected, rating))
         if best.identified:
             break
     return best
 
 
-def _finish_track(
-    lattice: Lattice, detected: DetectedPins, tree: cKDTree, identity: np.ndarray
-) -> PinTrack:
-    """Repair identities, the rows (P,) of the detected pins, and measure doubtful pins again."""
-    identity = repair_identities(lattice, detected.pins, tree, identity)
+def _finish_track(lattice: Lattice, detected: DetectedPins, rating: Rating) -> PinTrack:
+    """Repair rated identities, and measure doubtful pins again."""
+    identity = repair_identities(lattice, detected.pins, rating)
     motion = np.where(identity[:, None] >= 0, detected.pins[identity] - lattice.rest, np.nan)
     track = assess_track(lattice, motion, identity, len(detected.pins))
     return refine_track(lattice, track, detected)

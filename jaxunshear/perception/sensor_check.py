@@ -16,7 +16,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from jaxunshear.config.sensor import Preprocess
-from jaxunshear.perception.pin_detection import detect_pins_fast
+from jaxunshear.perception.pin_detection import detect_pin_centres
 from jaxunshear.perception.preprocess import make_mask
 
 MIN_PINS = 10  # below which pins have no spacing and no rim
@@ -84,7 +84,7 @@ def _measure_image(image: np.ndarray) -> tuple[SensorAppearance, np.ndarray]:
     dots = ndimage.label(np.asarray(image) > 127)[1]
     if dots > (len(image) / MIN_SPACING_PX) ** 2:  # finding pins in dust takes long
         return SensorAppearance(dots), np.zeros((0, 2))
-    pins = detect_pins_fast(image)
+    pins = detect_pin_centres(image)
     if len(pins) < MIN_PINS:
         return SensorAppearance(len(pins)), pins
     return measure_sensor_appearance(pins, len(image)), pins

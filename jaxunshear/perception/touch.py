@@ -153,7 +153,7 @@ def _measure_ring_radii(lattice: Lattice) -> np.ndarray:
 def measure_field(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> MotionField:
     """Measure the motion of pins px from the untouched lattice, NaN for those that are missing."""
     lattice = gauge.lattice
-    full = [_complete(lattice, each - lattice.rest) for each in pins]
+    full = [lattice.fill_missing(each - lattice.rest) for each in pins]
     motion = gauge.mm_per_px * np.reshape(full, (-1, *lattice.rest.shape))
     motion = motion - np.median(motion[:, find_rim(lattice.ring)], axis=1, keepdims=True)
     smooth = np.einsum("pkn,bpnc->kcbp", gauge.plane, motion[:, gauge.near])
@@ -166,10 +166,6 @@ def measure_field(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> Motion
         strain=np.sqrt(xx**2 + yy**2 + (xy + yx) ** 2 / 2),
         noise_mm=np.sqrt(np.median(offset, axis=1) / (2 * np.log(2))),
     )
-
-
-def _complete(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
-    return lattice.fill_missing(motion) if np.isnan(motion).any() else motion
 
 
 def describe_field(gauge: TouchGauge, field: MotionField) -> TouchFeatures:

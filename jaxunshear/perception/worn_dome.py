@@ -27,7 +27,6 @@ from jaxunshear.perception.pin_track import (
     PinTrack,
     add_lost_pins,
     drop_lost_pins,
-    rate_identities,
     repair_identities,
 )
 
@@ -103,12 +102,11 @@ def _find_worn_tracks(
     lattice: Lattice, detected: np.ndarray, motions: Iterable[np.ndarray]
 ) -> Iterator[PinTrack]:
     """Yield the identified ones of the tracks that start from first motions (P, 2) px."""
-    tree, max_faults = cKDTree(detected), MAX_WORN_FAULT_SHARE * len(lattice.rest)
     for motion in motions:
-        identity = match_iteratively(lattice, detected, motion)
-        if rate_identities(lattice, detected, identity).fault_count > max_faults:
+        rating = match_iteratively(lattice, detected, motion)
+        if rating.fault_count > MAX_WORN_FAULT_SHARE * len(lattice.rest):
             continue
-        identity = repair_identities(lattice, detected, tree, identity)
+        identity = repair_identities(lattice, detected, rating)
         worn = assess_worn_track(lattice, detected, identity)
         if worn.identified:
             yield worn

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from benchmarks import bench_data, bench_explore, bench_omissions, bench_pin_networks, bench_pins
+from benchmarks import (
+    bench_data,
+    bench_explore,
+    bench_omissions,
+    bench_pin_networks,
+    bench_pins,
+    bench_read,
+)
 from benchmarks import bench_input_pipeline as bench_input
 from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.errors import UserError
@@ -96,3 +103,22 @@ def test_a_wrong_name_in_a_sure_frame_is_counted_and_no_pins_are_not_sure():
     assert row["sure"] == 1 and row["wrong"] == 1
     row = compare(np.zeros((1, 256, 256), np.uint8), [slid()])
     assert (row["sure"], row["wrong"], row["missed"], row["rms_px"]) == (0, 0, 331, None)
+
+
+@pytest.mark.long
+def test_every_step_of_reading_a_frame_has_its_time_beside_a_plain_pass():
+    rows = bench_read.bench_read(frames=20)
+    assert [row["name"] for row in rows] == ["128 px", "256 px"]
+    for row in rows:
+        assert set(row) == {"size", *bench_read.COLUMNS} and row["frames"] >= 40
+        assert row["sure"] > 0.9
+        for step in bench_read.STEPS:
+            assert 0 < row[f"{step}_ms"] <= row[f"{step}_ms_p95"]
+        assert row["sum_ms"] > max(row["detect_ms"], row["identify_ms"])
+        assert 0 < row["ratio"] <= row["ratio_p95"]
+
+
+def test_centroids_of_white_parts():
+    image = np.zeros((8, 8), np.uint8)
+    image[1:3, 1:4] = image[6, 5] = 255
+    np.testing.assert_allclose(bench_read.compute_centroids(image), [[1.5, 2], [6, 5]])

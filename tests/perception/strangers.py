@@ -19,7 +19,7 @@ from jaxunshear.config.configs import PAIRED
 from jaxunshear.config.sensor import Camera, Nuisance, Preprocess, Sensor
 from jaxunshear.data.simulation import render_images
 from jaxunshear.perception.lattice import measure_spacing
-from jaxunshear.perception.pin_detection import detect_pins_fast
+from jaxunshear.perception.pin_detection import detect_pin_centres
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import invert_image
 from jaxunshear.simulator.pin_layout import compute_pin_tips
@@ -123,7 +123,7 @@ def _tiles(image: np.ndarray, rng: Generator) -> np.ndarray:
 
 def _scattered(image: np.ndarray, rng: Generator) -> np.ndarray:
     """The sensor's own pins, strewn about by a quarter of their spacing or more."""
-    pins = detect_pins_fast(image)
+    pins = detect_pin_centres(image)
     spacing = measure_spacing(pins)
     strewn = pins + rng.normal(0, rng.uniform(0.25, 1) * spacing, pins.shape)
     return _dots(strewn, len(image), 0.25 * spacing)

@@ -24,6 +24,20 @@ def test_touching_pins_are_parted():
     assert (match.missed, match.extra) == (0, 0)
 
 
+def test_pins_that_touch_on_a_slant_are_parted_wherever_others_touch():
+    rows, columns = np.mgrid[:128, :128]
+    place = np.array([(28 + 10 * i, 28 + 10 * j) for i in range(8) for j in range(8)], float)
+    place[place[:, 0] == 38] += [-4.5, 3]  # each of one column touches its neighbour
+    x, y = place.T[..., None, None]
+    white = np.min((columns - x) ** 2 + (rows - y) ** 2, axis=0) <= 3**2
+    found = detect_pin_centres(white)
+    match = match_pins(found, place, 0.5)
+    assert (match.missed, match.extra) == (0, 0)
+    white[:64] = False
+    alone = detect_pin_centres(white)
+    np.testing.assert_allclose(match_pins(alone, found[found[:, 1] > 64], 1e-9).missed, 0)
+
+
 def test_ring_specks_and_lone_dots_are_left_out():
     centres = make_lattice(9, 256)
     image = draw_dots(centres, 3.0, 256)

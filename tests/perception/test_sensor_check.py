@@ -3,7 +3,6 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from jaxunshear.config.sensor import (
     FITTED_CAMERA,
@@ -15,7 +14,7 @@ from jaxunshear.config.sensor import (
     Preprocess,
 )
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice, fit_lattice, make_layout
-from jaxunshear.perception.pin_detection import detect_pin_centres, detect_pins_fast
+from jaxunshear.perception.pin_detection import detect_pin_centres
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import (
     compute_plausibility,
@@ -92,25 +91,6 @@ def test_what_is_seen_is_where_the_pins_are(sets, grey):
     # 48 px from the middle, 5 px apart: the lattice's own numbers
     assert expected.rim * 128 == pytest.approx(np.hypot(*(place - 63.5).T).max(), rel=0.01)
     assert 4.5 < expected.spacing * 128 < 5.5
-
-
-def test_a_glance_finds_what_find_pins_finds(sets):
-    for each in sets.values():
-        found, seen = detect_pin_centres(each.images[3]), detect_pins_fast(each.images[3])
-        off = cKDTree(found).query(seen)[0]
-        assert abs(len(found) - len(seen)) <= 0.03 * len(found)
-        assert np.median(off) < 1e-9 and np.mean(off < 0.7) > 0.97
-
-
-def test_a_glance_sets_touching_pins_apart():
-    rows, columns = np.mgrid[:128, :128]
-    place = np.array([(28 + 10 * i, 28 + 10 * j) for i in range(8) for j in range(8)], float)
-    place[place[:, 0] == 38] += [-4.5, 3]  # each of one column touches its neighbour, on a slant
-    x, y = place.T[..., None, None]
-    white = np.min((columns - x) ** 2 + (rows - y) ** 2, axis=0) <= 3**2
-    found = detect_pins_fast(white.astype(np.uint8) * np.uint8(255))
-    off = cKDTree(found).query(place)[0]
-    assert len(found) == 64 and off.max() < 0.5
 
 
 def test_light_images_with_dark_pins_are_noticed(sets, grey):
