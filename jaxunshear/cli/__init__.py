@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from textwrap import wrap
 
 from jaxunshear import __version__
-from jaxunshear.cli import apps, experiments, models, studies
+from jaxunshear.cli import apps, experiments, first_steps, models, studies
 from jaxunshear.cli.fields import format_field_help, split_help_request
 from jaxunshear.cli.program import Command, Parser, check_json, parse, report_errors
 from jaxunshear.code_version import read_source
@@ -22,10 +22,11 @@ from jaxunshear.output_checks import check_new_folder, check_outside
 
 COMMANDS: dict[str, Command] = {
     command.name: command
-    for module in (experiments, models, apps, studies)
+    for module in (first_steps, experiments, models, apps, studies)
     for command in module.COMMANDS
 }
 GROUPS = {  # of `jaxunshear --help`
+    "try": ("demo-data",),
     "use": (
         *("doctor", "fit", "run", "data", "train", "evaluate", "adapt"),
         *("report", "release", "export"),
