@@ -49,7 +49,7 @@ STIMULUS = "edge"
 ACROSS_MM, DEPTH_MM = (-5.0, 5.0), (2.0, 4.5)  # of the poses; angles are over the full circle
 SLIDE_MM, TWIST_DEG = 3.0, 5.0  # slides move, and turn, by up to this
 RENDERED_AT_ONCE = 16
-PICTURE_PX = (480, 640)  # of frames as from a camera: the dome in the middle
+CAMERA_PX = 480  # side of grey frames as a camera gives them
 
 
 class DemoSensor(NamedTuple):
@@ -77,7 +77,7 @@ class Labels(NamedTuple):
 
 
 def write_demo_data(folder: Path, contacts: int = CONTACTS, seed: int = 0) -> None:
-    """Write taps, slides, untouched frames and frames as from a camera, for 331 and 127 pins.
+    """Write taps, slides, untouched frames and grey frames of the camera, for 331 and 127 pins.
 
     `contacts` is the number of taps, and of slides to their poses, of 331 pins. The same seed gives
     the same bits. Raises UserError if the folder is not empty, or a number cannot be.
@@ -118,7 +118,8 @@ def _write_sensor(
     for place, selected in places:
         write_recording(place, images[selected], labels.take(selected), selected % count)
     shown = slides[:CAMERA_FRAMES]
-    pictures = _render_pictures(demo, touched.pins[shown], seed)
+    large = demo._replace(camera=replace(demo.camera, frame_px=CAMERA_PX))
+    pictures = _render(large, touched.pins[shown], seed, _convert_to_bytes)
     write_recording(folder / "camera", pictures, labels.take(shown), shown - count)
     write_images(folder / "untouched", images[2 * count :])
 
@@ -160,14 +161,8 @@ def _render(
     return np.asarray(jax.jit(render_all)(contacts))
 
 
-def _render_pictures(demo: DemoSensor, tips: np.ndarray, seed: int) -> np.ndarray:
-    """Render grey frames (N, H, W) uint8 as of a camera, which sees more than the dome."""
-    height, width = PICTURE_PX
-    wide = demo.camera.mm_across * width / height
-    camera = replace(demo.camera, frame_px=width, mm_across=wide)
-    frames = _render(demo._replace(camera=camera), tips, seed, partial(jnp.multiply, 255.0))
-    top = (width - height) // 2
-    return np.round(frames[:, top : top + height]).astype(np.uint8)
+def _convert_to_bytes(frame: Array) -> Array:
+    return jnp.round(255 * frame).astype(jnp.uint8)
 
 
 def write_recording(

@@ -19,7 +19,7 @@ from jaxunshear.simulator.scene import make_scenes
 @pytest.fixture
 def quick(monkeypatch):
     """Few contacts, whose pins move with the slide; none is solved, and one fails."""
-    few = {"MIN_CONTACTS": 6, "UNTOUCHED": 2, "CAMERA_FRAMES": 3, "PICTURE_PX": (96, 128)}
+    few = {"MIN_CONTACTS": 6, "UNTOUCHED": 2, "CAMERA_FRAMES": 3, "CAMERA_PX": 96}
     for name, value in few.items():
         monkeypatch.setattr(demo_data, name, value)
 
@@ -57,7 +57,7 @@ def test_it_is_read_with_its_labels(quick, tmp_path):
         assert np.ptp(slides.poses, axis=0).astype(bool).tolist() == [0, 1, 1, 0, 0, 1]
         assert not taps.moves.any() and slides.moves[:, [0, 1, 5]].all()
         np.testing.assert_array_equal(np.delete(slides.poses, 4, axis=0), taps.poses)
-        assert read_image(parts["camera"].files[0]).shape == (96, 128)
+        assert read_image(parts["camera"].files[0]).shape == (96, 96)
         assert parts["untouched"].poses is None
 
 
@@ -84,7 +84,7 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(quick, tmp_path, command, 
     ):
         answer = command("demo-data", *words)
         assert answer.code == 2 and line in answer.err and answer.err.count("\n") == 1
-    monkeypatch.setattr(demo_data, "_render_pictures", lambda *_: 1 / 0)
+    monkeypatch.setattr(demo_data, "_convert_to_bytes", lambda _: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_demo_data(tmp_path / "new", 6)
     assert [path.name for path in tmp_path.iterdir()] == ["full"]

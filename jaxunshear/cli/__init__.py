@@ -26,7 +26,7 @@ COMMANDS: dict[str, Command] = {
     for command in module.COMMANDS
 }
 GROUPS = {  # of `jaxunshear --help`
-    "try": ("demo-data",),
+    "try": ("demo-data", "show"),
     "use": (
         *("doctor", "fit", "run", "data", "train", "evaluate", "adapt"),
         *("report", "release", "export"),

@@ -257,15 +257,16 @@ LIKE = path(
     "contacts of the same sensor and camera, whose mean shows where pins stand "
     "(default: the frames themselves)",
 )
+UNTOUCHED = path(
+    "--untouched",
+    "PATH",
+    "frames of the untouched dome, in a folder or a video, from which contact and shear are "
+    "measured (default: the mean over contacts)",
+)
 CAMERA_MODEL = (  # trained for recordings, and what it needs to read them
     _name_model("skin"),
     LIKE,
-    path(
-        "--untouched",
-        "PATH",
-        "frames of the untouched dome, in a folder or a video, from which contact and shear are "
-        "measured (default: the mean over contacts)",
-    ),
+    UNTOUCHED,
     WITHOUT,
     flag("--force", "answer images that are not of the model's sensor, too"),
 )
