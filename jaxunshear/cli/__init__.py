@@ -33,7 +33,7 @@ GROUPS = {  # of `jaxunshear --help`
         *("unshear", "pose"),
         *("pins", "stream", "geometry", "servo", "reconstruct", "explore", "sensors", "stimuli"),
     ),
-    "study": ("sweep", "compare", "ablate", "validate", "calibrate"),
+    "study": ("sweep", "compare", "ablate", "validate", "calibrate", "cite"),
 }
 USUAL_COMMANDS = {  # what other tools, or earlier versions, call a command: what to type instead
     **dict.fromkeys(("eval", "test", "score"), ("evaluate",)),

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from jaxunshear import __version__
 from jaxunshear.cli.program import (
     DATA,
     ROWS,
@@ -11,6 +12,7 @@ from jaxunshear.cli.program import (
     flag,
     integer,
     json_file,
+    option,
     path,
     write_measurement,
 )
@@ -20,6 +22,7 @@ from jaxunshear.files import to_builtins, write_bytes, write_json
 from jaxunshear.output_checks import check_not_among
 
 COMPARE_OUT = Path("runs/compare")
+CITATIONS = Path(__file__).parents[1] / "citations.bib"
 
 
 def doctor(arguments: argparse.Namespace, command: str) -> int:
@@ -116,6 +119,19 @@ def ablate(arguments: argparse.Namespace, command: str) -> int:
         print(code_swaps.format_table(results["rows"]))
     if arguments.json:
         write_json(arguments.json, results)
+    return 0
+
+
+def cite(arguments: argparse.Namespace, command: str) -> int:
+    """Print the BibTeX of the software, the paper and the public recordings, or of one of them."""
+    text = CITATIONS.read_text().replace("VERSION", __version__)
+    entries = {
+        entry[entry.index("{") + 1 : entry.index(",")]: entry for entry in text.split("\n\n")
+    }
+    name = arguments.name
+    if name is not None and name not in entries:
+        raise UserError(f"there is no citation '{name}': use one of {', '.join(entries)}")
+    print((text if name is None else entries[name]).strip())
     return 0
 
 
@@ -226,6 +242,13 @@ COMMANDS = (
             flag("--leakage", "measure by probes what each code holds that it should not"),
             json_file(),
         ),
+    ),
+    Command(
+        "cite",
+        "print the BibTeX of this software, the paper that it follows, and the public recordings",
+        cite,
+        (option("name", "NAME", "print this entry alone (default: all)", nargs="?"),),
+        computes=False,
     ),
     *(
         Command(name, f"list or draw the {name}", catalogue, CATALOGUE_OPTIONS, computes=False)
