@@ -33,10 +33,10 @@ GROUPS = {  # of `jaxunshear --help`
         *("unshear", "pose"),
         *("pins", "stream", "geometry", "servo", "reconstruct", "explore", "sensors", "stimuli"),
     ),
-    "study": ("sweep", "compare", "ablate", "validate", "calibrate", "cite"),
+    "study": ("sweep", "compare", "score", "ablate", "validate", "calibrate", "cite"),
 }
 USUAL_COMMANDS = {  # what other tools, or earlier versions, call a command: what to type instead
-    **dict.fromkeys(("eval", "test", "score"), ("evaluate",)),
+    **dict.fromkeys(("eval", "test"), ("evaluate",)),
     **dict.fromkeys(("predict", "infer", "inference"), ("pose", "unshear")),
     **dict.fromkeys(("simulate", "generate", "dataset"), ("data",)),
     **dict.fromkeys(("check", "verify"), ("python -m verification verify",)),

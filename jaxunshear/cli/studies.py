@@ -1,9 +1,11 @@
 """Commands about recordings, finished runs, sensors and stimuli."""
 
 import argparse
+import sys
 from pathlib import Path
 
 from jaxunshear import __version__
+from jaxunshear.cli.models import choose_exit_code
 from jaxunshear.cli.program import (
     DATA,
     ROWS,
@@ -22,6 +24,7 @@ from jaxunshear.files import to_builtins, write_bytes, write_json
 from jaxunshear.output_checks import check_not_among
 
 COMPARE_OUT = Path("runs/compare")
+SHOWN_NOTES = 5
 CITATIONS = Path(__file__).parents[1] / "citations.bib"
 
 
@@ -120,6 +123,27 @@ def ablate(arguments: argparse.Namespace, command: str) -> int:
     if arguments.json:
         write_json(arguments.json, results)
     return 0
+
+
+def score(arguments: argparse.Namespace, command: str) -> int:
+    """Print the scores of a submission; return 1 if half of the slides or more are left out."""
+    from jaxunshear.evaluation.submissions import format_rows, score_submission
+    from jaxunshear.text_table import format_text_table
+
+    if not arguments.path.exists():
+        raise UserError(
+            f"{arguments.path} does not exist: name a folder of images, a CSV or an npz"
+        )
+    submission = score_submission(arguments.path, arguments.recordings)
+    print(format_text_table(format_rows(submission.rows), submission.columns))
+    for reason, count in submission.left_out.items():
+        if count:
+            print(f"left out {count}: {reason}")
+    for note in submission.notes[:SHOWN_NOTES]:
+        print(f"note: {note}", file=sys.stderr)
+    content = {"rows": submission.rows, "left_out": submission.left_out}
+    write_measurement(arguments.json, command, content)
+    return choose_exit_code(submission.scored, submission.slides - submission.scored)
 
 
 def cite(arguments: argparse.Namespace, command: str) -> int:
@@ -241,6 +265,18 @@ COMMANDS = (
             DATA,
             flag("--leakage", "measure by probes what each code holds that it should not"),
             json_file(),
+        ),
+    ),
+    Command(
+        "score",
+        "score another program's unsheared images, or poses, on recorded slides",
+        score,
+        (
+            path("path", "FILE", "a folder of images named as the slides, or poses as CSV or npz"),
+            path(
+                "--recordings", "DIR", "labelled slides, and the taps at their poses", required=True
+            ),
+            json_file(ROWS),
         ),
     ),
     Command(
