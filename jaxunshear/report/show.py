@@ -22,6 +22,7 @@ from jaxunshear.data.videos import is_video
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.readers import Predictions
 from jaxunshear.inference.trained_model import TrainedModel, load_model
+from jaxunshear.perception.pin_tracking import track_images
 from jaxunshear.perception.touch import NO_CONTACT_REASON, TouchGauge, measure_field
 from jaxunshear.selection import select_evenly
 from jaxunshear.style import encode_png
@@ -82,7 +83,8 @@ def predict_frames(path: Path, model: TrainedModel) -> list[ShownFrame]:
         for kind, values in predictions.poses.items() if not reason else ():
             for name, value in values.items():
                 poses.setdefault(name, {})[kind] = float(value[i])
-        for name in poses.keys() & labels.keys():
+        # a name or two in common do not make labels those of the model's poses
+        for name in poses if poses.keys() <= labels.keys() else ():
             poses[name]["label"] = float(labels[name][rows[frame.row]])
         unsheared = predictions.unsheared
         shown.append(
@@ -104,7 +106,10 @@ def _measure_motions(
 ) -> dict[str, np.ndarray]:
     """Measure motions (B, P, 2) mm of pins from their untouched places, NaN where not known."""
     gauge, pins = model.touch_reader.gauge, model.reader.read(images).pins
-    recorded = _measure_motion(gauge, model.touch_reader.track(images) if pins is None else pins)
+    if pins is None:
+        lattice = model.touch_reader.lattice
+        pins = lattice.rest + track_images(lattice, images, independent=True).motion
+    recorded = _measure_motion(gauge, pins)
     if UNSHEARED not in predictions.pins:
         return {AS_RECORDED: recorded}
     unsheared = _measure_motion(gauge, predictions.pins[UNSHEARED])
