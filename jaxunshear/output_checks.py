@@ -25,6 +25,25 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
         )
 
 
+def check_new_picture(path: Path, software: str, option: str = "--out") -> None:
+    """Refuse a file for a PNG that holds what `software` did not draw."""
+    if path.suffix.lower() != ".png":
+        raise UserError(f"{option} {path}: name a file that ends in .png")
+    if path.is_dir():
+        raise UserError(f"{option} {path} is a folder: name a file")
+    _check_place(path.parent, path, option)
+    if path.is_file() and path.stat().st_size:
+        from PIL import Image, UnidentifiedImageError  # only for this: help must be quick
+
+        drawn_by = None
+        with contextlib.suppress(UnidentifiedImageError, OSError), Image.open(path) as image:
+            drawn_by = image.info.get("Software")
+        if drawn_by != software:
+            raise UserError(
+                f"{option} {path} holds something else, which would be lost: name another file"
+            )
+
+
 def _is_measurement(path: Path) -> bool:
     """Return whether a file is of `--json`, which names machines and versions, or of `--lines`."""
     with path.open("rb") as file:

@@ -57,10 +57,10 @@ def wrap_title(text: str, columns: int) -> str:
     return "\n".join(wrap(text, 48 * columns))
 
 
-def encode_png(figure: "Figure") -> bytes:
+def encode_png(figure: "Figure", software: str = "") -> bytes:
     """Encode a PNG without the version of Matplotlib: the same drawing gives the same bytes."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": ""})
+    figure.savefig(buffer, format="png", metadata={"Software": software})
     return buffer.getvalue()
 
 

@@ -209,7 +209,7 @@ def test_stream_of_a_folder(command, tmp_path, model):
     assert not any("pose" in json.loads(line) for line in refused.out.splitlines())
     answer = command(*words, "--force")
     assert answer.code == 0, answer.err
-    assert "note: These networks have seen simulated touches only" in answer.err
+    assert "note: These networks were trained on simulated contacts alone" in answer.err
     assert "note" not in answer.out
     lines = [json.loads(line) for line in answer.out.splitlines()]
     assert [("error" in line) for line in lines] == [False, False, False, True]

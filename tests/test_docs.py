@@ -73,8 +73,8 @@ def test_commands_exist(page, capsys):
     text = "\n".join(
         line for line in lines if not line.startswith(NOTE)
     )  # notes have commands as they were typed
-    known = set(re.findall(r"^  ([a-z]+) ", capsys.readouterr().out, re.MULTILINE))
-    named = set(re.findall(r"(?:^    |`)jaxunshear ([a-z]+)", text, re.MULTILINE))
+    known = set(re.findall(r"^  ([a-z-]+) ", capsys.readouterr().out, re.MULTILINE))
+    named = set(re.findall(r"(?:^    |`)jaxunshear ([a-z-]+)", text, re.MULTILINE))
     assert named <= known, f"{page}: {named - known}"
     for tool in (verification, benchmarks):
         named = set(re.findall(rf"python -m {tool.__package__} ([a-z_]+)", text))

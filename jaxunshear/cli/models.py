@@ -258,15 +258,16 @@ LIKE = path(
     "contacts of the same sensor and camera, whose mean gives the pins' rest positions "
     "(default: the frames themselves)",
 )
+UNTOUCHED = path(
+    "--untouched",
+    "RECORDINGS",
+    "frames of the untouched dome, in a folder or a video: contact and shear are measured "
+    "from them (default: from the mean over contacts)",
+)
 CAMERA_MODEL = (  # trained for recordings, and what it needs to read them
     _name_model("skin"),
     LIKE,
-    path(
-        "--untouched",
-        "RECORDINGS",
-        "frames of the untouched dome, in a folder or a video: contact and shear are measured "
-        "from them (default: from the mean over contacts)",
-    ),
+    UNTOUCHED,
     *mark_rare(WITHOUT, flag("--force", "also use images that are not of the model's sensor")),
 )
 STIMULUS = option(

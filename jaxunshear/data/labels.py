@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
 from jaxunshear.data.tables import (
     LabelProblem,
     LabelTable,
@@ -76,6 +77,19 @@ def join_columns(
         own = [part.get(name, rows) for part, rows in zip(parts, unknown, strict=True)]
         columns[name] = np.concatenate(own)
     return columns
+
+
+def name_labels(
+    poses: np.ndarray | None, moves: np.ndarray | None, others: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Return columns (N,) of labels by the names of targets; others keep their own names."""
+    fields = {"pose": poses, "move": moves}
+    named = {
+        name: values[:, column]
+        for name, (field, column) in (RECORDED_FIELDS | LABELLED_SLIDES).items()
+        if (values := fields[field]) is not None
+    }
+    return {**named, **others}
 
 
 def normalise_text(text: str) -> str:

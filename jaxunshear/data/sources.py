@@ -220,13 +220,13 @@ class SimulatedSource(DataSource):
 
     def describe(self) -> str:
         sensor, names = self.experiment.sensor.name, ", ".join(self.settings.names)
-        simulated = f"These networks have seen simulated touches only (sensor {sensor}, {names})"
+        simulated = f"These networks were trained on simulated contacts alone ({sensor}; {names})"
         if self.suits_recordings:
             return (
-                f"{simulated}, drawn as other sensors and cameras would show them. "
-                "What they read has a zero and a sense of its own, which a few labelled taps show "
-                "(`jaxunshear evaluate MODEL --recordings DIR`); "
-                "more exact are networks that learn from your own (`jaxunshear fit`)."
+                f"{simulated}, varied as between sensors and cameras. "
+                "Offset and sign of each output are arbitrary: a few labelled taps calibrate them "
+                "(`jaxunshear evaluate MODEL --recordings DIR`). "
+                "Networks that learn from your own recordings are more exact (`jaxunshear fit`)."
             )
         return (
             f"{simulated}: for recordings take the weights `skin`, "

@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.code_version import read_source
-from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS, get_unit
+from jaxunshear.config.targets import get_unit
+from jaxunshear.data.labels import name_labels
 from jaxunshear.data.recordings import RecordedFrame, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, format_csv, write_bytes, write_text
@@ -280,15 +281,10 @@ class _FolderRun:
 
     def _compute_label_errors(self) -> dict[str, float]:
         """Compute mean errors by kind and quantity, if all quantities of poses have labels."""
-        labels = {"pose": self.recordings.poses, "move": self.recordings.moves}
+        recorded = self.recordings
+        labels = name_labels(recorded.poses, recorded.moves, recorded.others)
         true = {
-            name: values[self._rows, column]
-            for name, (field, column) in (RECORDED_FIELDS | LABELLED_SLIDES).items()
-            if name in self._targets and (values := labels[field]) is not None
-        } | {
-            name: values[self._rows]
-            for name, values in self.recordings.others.items()
-            if name in self._targets
+            name: values[self._rows] for name, values in labels.items() if name in self._targets
         }
         means: dict[str, float] = {}
         if len(true) != len(self._targets) or not self._poses:

@@ -161,8 +161,9 @@ class TrainedModel:
 
     @cached_property
     def appearance(self) -> SensorAppearance:
-        """How its sensor appears in prepared images."""
-        return measure_sensor_appearance(self.rest, self.experiment.paired.preprocess.size)
+        """How its sensor appears in prepared images: those of the camera, if its frame is known."""
+        rest = self.frame.rest if self.frame else self.rest
+        return measure_sensor_appearance(rest, self.experiment.paired.preprocess.size)
 
     @cached_property
     def touch_reader(self) -> TouchReader:

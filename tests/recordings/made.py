@@ -4,8 +4,6 @@ Pins move as smooth functions of pose and slide, and are drawn as dots. No conta
 matters is that pose and slide can be read off the pins, and that files lie where a laboratory's do.
 """
 
-import csv
-import json
 from pathlib import Path
 
 import jax
@@ -13,13 +11,15 @@ import numpy as np
 from PIL import Image
 
 from jaxunshear.config.sensor import TACTIP_127, Sensor
+from jaxunshear.data.labels import MOVE_COLUMNS, POSE_COLUMNS
+from jaxunshear.demo_data import Labels, write_recording
 from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 SIZE = 96
 DOTS = jax.jit(draw_dots, static_argnums=(1, 2))
-OLDER = [f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)]
-NEWER = [f"{kind}_{i}" for kind in ("pose", "shear") for i in ("x", "y", "z", "Rx", "Ry", "Rz")]
+OLDER = [*POSE_COLUMNS[0], *MOVE_COLUMNS[0]]
+NEWER = [*POSE_COLUMNS[1], *MOVE_COLUMNS[1]]
 
 
 def rest_px(sensor: Sensor = TACTIP_127, size: int = SIZE) -> np.ndarray:
@@ -67,35 +67,23 @@ def write(
     size: int = SIZE,
 ) -> Path:
     """A folder of one recording. Returns it."""
-    images = folder / ("images" if layout == "older" else "processed_images")
-    images.mkdir(parents=True)
-    names = [f"image_{i + 1}.png" for i in range(len(pose))]
+    pins = np.stack([pins_px(*each, sensor, size) for each in zip(pose, move, strict=True)])
+    radius = 0.017 * size * (127 / sensor.pins) ** 0.5
+    images = [draw(each, radius, size) for each in pins]
     ids = np.arange(1, len(pose) + 1) if pose_id is None else pose_id
-    for name, own, by in zip(names, pose, move, strict=True):
-        picture = _drawn(
-            pins_px(own, by, sensor, size)[None], 0.017 * size * (127 / sensor.pins) ** 0.5, size
-        )
-        Image.fromarray(picture).save(images / name)
-    with open(folder / "targets.csv", "w", newline="") as file:
-        rows = csv.writer(file)
-        rows.writerow(
-            [
-                "sensor_image",
-                *(["obj_id", "pose_id"] if layout == "older" else []),
-                *(OLDER if layout == "older" else NEWER),
-            ]
-        )
-        for name, own, by, number in zip(names, pose, move, ids, strict=True):
-            rows.writerow([name, *([1, number] if layout == "older" else []), *own, *by])
-    meta = {"pose_llims": [0] * 6} if layout == "newer" else {"tap_depth": -5.0}
-    (folder / ("collect_params.json" if layout == "newer" else "meta.json")).write_text(
-        json.dumps(meta)
-    )
+    write_recording(folder, images, Labels(pose, move), ids)
+    if layout == "newer":
+        (folder / "images").rename(folder / "processed_images")
+        heading, rows = (folder / "targets.csv").read_text().split("\n", 1)
+        for before, after in zip(OLDER, NEWER, strict=True):
+            heading = heading.replace(before, after)
+        (folder / "targets.csv").write_text(f"{heading}\n{rows}")
     return folder
 
 
-def _drawn(pins: np.ndarray, radius: float, size: int) -> np.ndarray:
-    return (255 * np.asarray(DOTS(pins.astype(np.float32), radius, size))[0, ..., 0]).astype(
+def draw(pins: np.ndarray, radius: float, size: int) -> np.ndarray:
+    """An image (S, S) uint8 of {0, 255}."""
+    return (255 * np.asarray(DOTS(pins[None].astype(np.float32), radius, size))[0, ..., 0]).astype(
         np.uint8
     )
 

@@ -208,7 +208,7 @@ def test_the_digest_gives_changed_labels_and_images(tmp_path):
     table = (folder / "targets.csv").rename(folder / "Targets.CSV")
     assert compute_digest((str(folder),)) == before
     text = table.read_text()
-    table.write_text(text.replace("image_1.png,1,1,0.0", "image_1.png,1,1,0.5"))
+    table.write_text(text.replace("image_1.png,1,0.0", "image_1.png,1,0.5"))
     assert compute_digest((str(folder),)) != before
 
 

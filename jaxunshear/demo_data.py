@@ -1,0 +1,186 @@
+"""Write a small labelled recording of the simulator, in the layout in which recordings lie.
+
+>>> write_demo_data(Path("demo"), contacts=300, seed=0)  # demo/331_pins/edge/tap/targets.csv, ...
+
+So that whoever has no recordings can try `doctor`, `show`, `fit` and the others.
+"""
+
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxunshear.config.data import MAX_SEED
+from jaxunshear.config.sensor import (
+    FITTED_CAMERA,
+    FITTED_FRICTION,
+    TACTIP_127,
+    TACTIP_331_FITTED,
+    Camera,
+    Nuisance,
+    Preprocess,
+    Sensor,
+)
+from jaxunshear.data.labels import MOVE_COLUMNS, POSE_COLUMNS
+from jaxunshear.errors import UserError
+from jaxunshear.files import Json, format_csv, write_bytes, write_text
+from jaxunshear.output_checks import check_new_folder
+from jaxunshear.perception.drawing import encode_png
+from jaxunshear.perception.preprocess import binarise
+from jaxunshear.progress import Progress
+from jaxunshear.simulator.camera import render_frame
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+from jaxunshear.simulator.scene import make_scenes
+from jaxunshear.simulator.simulate import simulate
+
+CONTACTS = 300  # taps, and as many slides, of 331 pins
+MIN_CONTACTS = 30  # with fewer a split of `fit` may be empty
+FEWER = 5  # times fewer contacts of 127 pins, which no released weights know
+UNTOUCHED = 20  # frames
+CAMERA_FRAMES = 40
+STIMULUS = "edge"
+ACROSS_MM, DEPTH_MM = (-5.0, 5.0), (2.0, 4.5)  # of the poses; angles are over the full circle
+SLIDE_MM, TWIST_DEG = 3.0, 5.0  # slides move, and turn, by up to this
+RENDERED_AT_ONCE = 16
+CAMERA_PX = 480  # side of grey frames as a camera gives them
+
+
+class DemoSensor(NamedTuple):
+    """A sensor, its camera, and its folder."""
+
+    name: str
+    sensor: Sensor
+    camera: Camera
+
+
+SENSORS = (
+    DemoSensor("331_pins", TACTIP_331_FITTED, FITTED_CAMERA),
+    DemoSensor("127_pins", TACTIP_127, Camera()),
+)
+
+
+class Labels(NamedTuple):
+    """Poses and moves (N, 6) of contacts: x y z mm, Rx Ry Rz deg in the frame of the labels."""
+
+    pose: np.ndarray
+    move: np.ndarray
+
+    def take(self, rows: np.ndarray) -> "Labels":
+        return Labels(self.pose[rows], self.move[rows])
+
+
+def write_demo_data(folder: Path, contacts: int = CONTACTS, seed: int = 0) -> None:
+    """Write taps, slides, untouched frames and grey frames of the camera, for 331 and 127 pins.
+
+    `contacts` is the number of taps, and of slides to their poses, of 331 pins. The same seed gives
+    the same bits. Raises UserError if the folder is not empty, or a number cannot be.
+    """
+    check_new_folder(folder, "DIR")
+    if folder.is_dir() and any(folder.iterdir()):
+        raise UserError(f"{folder} is not empty: name a new folder")
+    if contacts < MIN_CONTACTS:
+        raise UserError(f"--contacts {contacts}: use {MIN_CONTACTS} or more, so that `fit` can run")
+    if not 0 <= seed <= MAX_SEED:
+        raise UserError(f"--seed {seed}: use 0 to {MAX_SEED}")
+    counts = contacts, max(MIN_CONTACTS, contacts // FEWER)
+    folder = folder.resolve()
+    part = folder.with_name(f"{folder.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    try:
+        with Progress("simulate contacts", 2 * sum(counts), unit="contacts") as progress:
+            for demo, count in zip(SENSORS, counts, strict=True):
+                _write_sensor(part / demo.name, demo, count, seed, progress)
+        part.rename(folder)  # one that is empty is replaced
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _write_sensor(
+    folder: Path, demo: DemoSensor, count: int, seed: int, progress: Progress
+) -> None:
+    labels = sample_labels(count, seed)
+    pose, move = convert_labels(labels)
+    scenes = make_scenes((STIMULUS,), np.zeros(2 * count, int), pose, move, FITTED_FRICTION)
+    touched = simulate(demo.sensor, (STIMULUS,), scenes, progress=progress)
+    untouched = np.repeat(compute_pin_tips(demo.sensor)[None], UNTOUCHED, axis=0)
+    tips = np.concatenate([touched.pins, untouched])
+    images = _render(demo, tips, seed, partial(binarise, Preprocess()))
+    rows = np.flatnonzero(touched.converged)
+    taps, slides = rows[rows < count], rows[rows >= count]
+    places = [(folder / STIMULUS / "tap", taps), (folder / STIMULUS / "shear", slides)]
+    for place, selected in places:
+        write_recording(place, images[selected], labels.take(selected), selected % count)
+    shown = slides[:CAMERA_FRAMES]
+    large = demo._replace(camera=replace(demo.camera, frame_px=CAMERA_PX))
+    pictures = _render(large, touched.pins[shown], seed, _convert_to_bytes)
+    write_recording(folder / "camera", pictures, labels.take(shown), shown - count)
+    write_images(folder / "untouched", images[2 * count :])
+
+
+def sample_labels(count: int, seed: int) -> Labels:
+    """Sample `count` taps at random poses of an edge, then a slide to each of these poses."""
+    generator = np.random.default_rng(seed)
+    pose, move = np.zeros((2 * count, 6)), np.zeros((2 * count, 6))
+    columns = {1: ACROSS_MM, 2: DEPTH_MM, 5: (-180.0, 180.0)}
+    for column, limits in columns.items():
+        pose[:, column] = np.tile(generator.uniform(*limits, count), 2)
+    move[count:, :2] = generator.uniform(-SLIDE_MM, SLIDE_MM, (count, 2))
+    move[count:, 5] = generator.uniform(-TWIST_DEG, TWIST_DEG, count)
+    return Labels(np.round(pose, 6), np.round(move, 6))
+
+
+def convert_labels(labels: Labels) -> tuple[np.ndarray, np.ndarray]:
+    """Convert labels to poses (N, 4) and moves (N, 3) of scenes, as `calibration/labels.py` does.
+
+    Their depth axis points into the object, and they turn the other way round.
+    """
+    x, y, turn = labels.move[:, 0], labels.move[:, 1], labels.move[:, 5]
+    pose = np.stack([labels.pose[:, 1], labels.pose[:, 0], -labels.pose[:, 5], labels.pose[:, 2]])
+    return pose.T, np.stack([y, x, -turn], axis=-1)
+
+
+def _render(
+    demo: DemoSensor, tips: np.ndarray, seed: int, convert: Callable[[Array], Array]
+) -> np.ndarray:
+    """Render pin tips (N, P, 3) mm as frames, which `convert` makes images of, one at a time."""
+
+    def render(contact: tuple[Array, Array]) -> Array:
+        tip, number = contact
+        key = jax.random.fold_in(jax.random.key(seed), number)
+        return convert(render_frame(demo.camera, demo.sensor, Nuisance(), tip, key))
+
+    contacts = np.asarray(tips, np.float32), np.arange(len(tips))
+    render_all = partial(jax.lax.map, render, batch_size=RENDERED_AT_ONCE)
+    return np.asarray(jax.jit(render_all)(contacts))
+
+
+def _convert_to_bytes(frame: Array) -> Array:
+    return jnp.round(255 * frame).astype(jnp.uint8)
+
+
+def write_recording(
+    folder: Path, images: Iterable[np.ndarray], labels: Labels, pose_ids: np.ndarray
+) -> None:
+    """Write a recording in the older of the layouts that are read: `images/`, `targets.csv`."""
+    rows: list[Json] = []
+    for i, name in enumerate(write_images(folder / "images", images)):
+        numbers = dict(zip(POSE_COLUMNS[0], labels.pose[i].tolist(), strict=True))
+        numbers |= zip(MOVE_COLUMNS[0], labels.move[i].tolist(), strict=True)
+        rows.append({"sensor_image": name, "pose_id": pose_ids[i], **numbers})
+    write_text(folder / "targets.csv", format_csv(rows))
+
+
+def write_images(folder: Path, images: Iterable[np.ndarray]) -> list[str]:
+    """Write `image_1.png` and so on, and return their names."""
+    names = []
+    for number, image in enumerate(images, 1):
+        names.append(f"image_{number}.png")
+        write_bytes(folder / names[-1], encode_png(image))
+    return names
