@@ -7,7 +7,7 @@
 A target is written `name`, `name:range` or `name:circle`, or with a weight in the loss,
 `name:range:4`. A range is scaled to [0, 1] about its middle. An angle over the full circle is two
 outputs, its cosine and sine, and its errors go the short way round. A column whose name ends in
-`_class`, as `object_class`, has whole numbers from 0: an output for each, and an error of 0 or 1.
+`_class`, as `object_class`, has integers from 0: an output for each, and an error of 0 or 1.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -165,7 +165,7 @@ def make_label_targets(
         if is_class(name) and ((known % 1 != 0) | (known < 0) | (known >= MAX_CLASSES)).any():
             if name in list_column_names(texts):
                 raise UserError(
-                    f"target '{name}': a class is a whole number from 0 to {MAX_CLASSES - 1}: "
+                    f"target '{name}': a class is an integer from 0 to {MAX_CLASSES - 1}: "
                     "number the classes of that column, or give it another name"
                 )
             continue

@@ -314,7 +314,7 @@ def test_classes_have_an_output_each_and_errors_of_0_or_1():
 
 
 @pytest.mark.parametrize("value", [0.5, -1.0, 100.0])
-def test_classes_that_are_no_whole_numbers_are_refused(value):
+def test_classes_that_are_no_integers_are_refused(value):
     others = {"object_class": np.array([0.0, value])}
-    with pytest.raises(UserError, match="'object_class': a class is a whole number from 0 to 99"):
+    with pytest.raises(UserError, match="'object_class': a class is an integer from 0 to 99"):
         make_label_targets(("object_class",), np.zeros((2, 6)), others=others)
