@@ -27,7 +27,7 @@ COMMANDS: dict[str, Command] = {
 }
 GROUPS = {  # of `jaxunshear --help`
     "use": (
-        *("doctor", "fit", "run", "data", "train", "evaluate", "adapt"),
+        *("doctor", "layout", "fit", "run", "data", "train", "evaluate", "adapt"),
         *("report", "release", "export"),
         *("unshear", "pose"),
         *("pins", "stream", "geometry", "servo", "reconstruct", "explore", "sensors", "stimuli"),

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
@@ -14,6 +14,7 @@ NEIGHBOURS = 18  # pins that predict the position of another one
 POLYNOMIAL_DEGREES = (2, 3, 4)  # of the polynomials that refine a motion, in turn
 INNER_RING_SHARE = 0.75  # of the outermost ring
 RIM_RINGS = 2  # of the outermost rings, which show the view's shift
+MAX_EDGE = 1.6  # of the spacing, from a pin to its neighbour: the diagonal of a square grid is 1.4
 
 
 class Lattice(NamedTuple):
@@ -72,16 +73,40 @@ class Lattice(NamedTuple):
 
 
 def compute_rings(sensor: Sensor) -> Int[np.ndarray, "P"]:
-    """Return the ring of each pin of a sensor, 0 for the one in the middle."""
-    if not sensor.has_rings:
-        return estimate_rings(sensor.place_pins())
-    return np.repeat(np.arange(sensor.rings + 1), [1] + [6 * k for k in range(1, sensor.rings + 1)])
+    """Return the ring of each pin of a sensor, 0 in the middle."""
+    return estimate_rings(sensor.place_pins())
+
+
+def find_neighbours(rest: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "E 2"]:
+    """Find which pins are next to each other: the edges of Delaunay that are not too long.
+
+    Pins on one line have none.
+    """
+    try:
+        corners = Delaunay(rest).simplices
+    except QhullError:
+        return np.zeros((0, 2), int)
+    sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [0, 2]]])
+    edges = np.unique(np.sort(sides, axis=1), axis=0)
+    length = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=-1)
+    return edges[length < MAX_EDGE * measure_spacing(rest)]
 
 
 def estimate_rings(rest: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "P"]:
-    """Estimate the rings of pins in any layout from their distance to the middle, in spacings."""
-    distance = np.linalg.norm(rest - rest.mean(axis=0), axis=-1)
-    return np.round(distance / measure_spacing(rest)).astype(int)
+    """Estimate the rings of pins in any layout, by steps from the outline to neighbours."""
+    edges, depth = find_neighbours(rest), np.zeros(len(rest), int)
+    if not len(edges):
+        return depth
+    sides = ConvexHull(rest).equations
+    inside = -np.max(rest @ sides[:, :2].T + sides[:, 2], axis=1)
+    reached = inside < 0.5 * measure_spacing(rest)
+    front = reached
+    while front.any():
+        near = edges[front[edges].any(axis=1)].ravel()
+        front = np.isin(np.arange(len(rest)), near) & ~reached
+        depth[~reached] += 1
+        reached = reached | front
+    return depth.max() - depth
 
 
 def make_lattice(
