@@ -76,6 +76,19 @@ def shuffle(place, rng, noise_px):
     return [place[rng.permutation(count)] + rng.normal(0, noise_px, place.shape) for _ in range(4)]
 
 
+@pytest.mark.parametrize("sensor", [TACTIP_331, TACTIP_127], ids=lambda sensor: sensor.name)
+def test_rings_of_any_layout_are_those_of_the_sensor(sensor):
+    """Steps to the outline, over neighbours, are the rings it is built of; also with holes."""
+    ring = np.repeat(np.arange(sensor.rings + 1), [1] + [6 * k for k in range(1, sensor.rings + 1)])
+    place = _flat(sensor) + np.random.default_rng(0).normal(0, 0.3, (sensor.pins, 2))
+    assert np.array_equal(estimate_rings(place), ring)
+    assert np.array_equal(estimate_rings(place[::-1]), ring[::-1])
+    seen = ~np.isin(np.arange(sensor.pins), (5, 40))
+    assert np.array_equal(estimate_rings(place[seen]), ring[seen])
+    line = np.stack([np.arange(30.0), np.zeros(30)], axis=-1)
+    assert not estimate_rings(line).any()  # all of them are on the outline
+
+
 def test_lattice_is_found_turned_and_shifted():
     """Each pin is within a tenth of a pixel, up to the lattice's symmetry."""
     turned = (PLACE - 64) @ rotation_2d(-np.radians(17)) + [60.0, 66.0]
