@@ -55,7 +55,7 @@ def describe_layout(found: FoundLayout) -> list[str]:
     return [
         f"{len(layout.markers)} {kind} markers, {len(layout.neighbours)} pairs of neighbours, "
         f"from {found.used} of {found.frames} frames",
-        *(f"left out: {each}" for each in found.left_out),
+        *(f"note: {each}" for each in found.left_out),
     ]
 
 
@@ -66,6 +66,7 @@ class _Reading(NamedTuple):
     detected: list[DetectedPins]
     view: View
     size: int  # of the prepared images, px
+    first: np.ndarray  # (K, 2) px, the dots of the frame that is most like the others
 
 
 class _Places(NamedTuple):
@@ -79,14 +80,6 @@ class _Places(NamedTuple):
         """Which frames (N,) show these markers."""
         return np.isfinite(self.px).any(axis=(1, 2))
 
-    @property
-    def is_regular(self) -> bool:
-        """Whether the markers stand evenly, as dust does not."""
-        if self.px.shape[1] < MIN_MARKERS:
-            return False
-        rest = np.nanmedian(self.px[self.is_understood], axis=0)
-        return measure_sensor_appearance(rest, 1).regular >= MIN_REGULAR
-
 
 def find_layout(path: Path, name: str) -> FoundLayout:
     """Find the layout of the frames at `path`, of an untouched sensor or of taps.
@@ -99,10 +92,9 @@ def find_layout(path: Path, name: str) -> FoundLayout:
     rows = select_evenly(len(recordings), LATTICE_FRAMES)
     some = replace(recordings, files=tuple(recordings.files[row] for row in rows))
     readings = [_read(some, dark) for dark in (False, True)]
-    places = [_find_places(reading.detected) for reading in readings]
-    best = max((0, 1), key=lambda i: (places[i].is_regular, np.isfinite(places[i].px).sum()))
+    reading = max(readings, key=lambda each: (_is_regular(each.first), len(each.first)))
     try:
-        return _describe(readings[best], places[best], name, some)
+        return _describe(reading, _find_places(reading), name, some)
     except UserError as error:
         raise explain_failure(error, some.files[0]) from error
 
@@ -116,16 +108,24 @@ def _read(recordings: Recordings, dark: bool) -> _Reading:
     for frame in recordings.iterate_frames(view):
         names.append(frame.name)
         detected.append(detect_pins(frame.image))
-    return _Reading(names, detected, view, recordings.preprocess.size)
+    first = _choose_first(detected)
+    return _Reading(names, detected, view, recordings.preprocess.size, first)
 
 
-def _find_places(detected: list[DetectedPins]) -> _Places:
+def _is_regular(rest: np.ndarray) -> bool:
+    """Say whether dots (K, 2) are enough for a layout, and stand evenly, as dust does not."""
+    if len(rest) < MIN_MARKERS:
+        return False
+    return measure_sensor_appearance(rest, 1).regular >= MIN_REGULAR
+
+
+def _find_places(reading: _Reading) -> _Places:
     """Find the markers that most frames show; none if there are too few."""
-    rest, places = _choose_first(detected), _Places(np.zeros((len(detected), 0, 2)), 0)
+    rest, places = reading.first, _Places(np.zeros((len(reading.detected), 0, 2)), 0)
     for _ in range(ROUNDS):
         if len(rest) < MIN_MARKERS:
             break
-        places = _track(rest, detected)
+        places = _track(rest, reading.detected)
         rest = np.nanmedian(places.px[places.is_understood], axis=0)
     return places
 
@@ -178,23 +178,23 @@ def _describe(reading: _Reading, places: _Places, name: str, recordings: Recordi
             f"half of them, and {MIN_MARKERS} markers, are needed; light and focus the markers, "
             "and name frames of one camera"
         )
-    if not places.is_regular:
-        raise UserError(f"{recordings.path}: its dots are scattered: they are no layout of markers")
     left_out = list(recordings.notes)
     left_out += _name_frames(reading, ~used, "other markers than the rest shows")
     is_touched = used & _find_touched(places.px)
     if np.sum(is_touched) > MIN_SEEN_SHARE * np.sum(used):
         left_out.append(
-            f"nothing for contacts: markers move in {np.sum(is_touched)} of {frames} frames, so "
-            "that places are means over contacts; frames of the untouched sensor are better"
+            f"markers move in {np.sum(is_touched)} of {frames} frames: places are means over "
+            "contacts; frames of the untouched sensor are better"
         )
     else:
         left_out += _name_frames(reading, is_touched, "something touches the sensor")
         used = used & ~is_touched
     is_known = np.isfinite(places.px[used]).any(axis=(0, 2))
     rest = np.nanmean(places.px[used][:, is_known], axis=0)
+    if not _is_regular(rest):
+        raise UserError(f"{recordings.path}: its dots are scattered: they are no layout of markers")
     if places.rare:
-        left_out.append(f"{places.rare} dots: fewer than half of the frames show them")
+        left_out.append(f"left out {places.rare} dots: fewer than half of the frames show them")
     return FoundLayout(_make_file(reading, rest, name), frames, int(np.sum(used)), left_out)
 
 
@@ -216,7 +216,7 @@ def _name_frames(reading: _Reading, chosen: np.ndarray, reason: str) -> list[str
         return []
     more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
     count = f"{len(names)} frame{'s' if len(names) > 1 else ''}"
-    return [f"{count}: {reason}: {', '.join(names[:MAX_NAMED])}{more}"]
+    return [f"left out {count}: {reason}: {', '.join(names[:MAX_NAMED])}{more}"]
 
 
 def _make_file(reading: _Reading, rest: np.ndarray, name: str) -> LayoutFile:

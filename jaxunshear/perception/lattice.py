@@ -14,7 +14,9 @@ NEIGHBOURS = 18  # pins that predict the position of another one
 POLYNOMIAL_DEGREES = (2, 3, 4)  # of the polynomials that refine a motion, in turn
 INNER_RING_SHARE = 0.75  # of the outermost ring
 RIM_RINGS = 2  # of the outermost rings, which show the view's shift
-MAX_EDGE = 1.6  # of the spacing, from a pin to its neighbour: the diagonal of a square grid is 1.4
+MAX_EDGE = 1.6  # of the spacing, from a pin to its neighbour
+# of an edge, from its middle to any third pin: less in a square's diagonal, which chance would draw
+MIN_FREE = 0.6
 
 
 class Lattice(NamedTuple):
@@ -78,9 +80,9 @@ def compute_rings(sensor: Sensor) -> Int[np.ndarray, "P"]:
 
 
 def find_neighbours(rest: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "E 2"]:
-    """Find which pins are next to each other: the edges of Delaunay that are not too long.
+    """Find which pins are next to each other: edges of Delaunay's triangles, unless they are long.
 
-    Pins on one line have none.
+    Diagonals of squares are left out. Pins on one line have no neighbours.
     """
     try:
         corners = Delaunay(rest).simplices
@@ -88,8 +90,10 @@ def find_neighbours(rest: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "E 2"]:
         return np.zeros((0, 2), int)
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [0, 2]]])
     edges = np.unique(np.sort(sides, axis=1), axis=0)
-    length = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=-1)
-    return edges[length < MAX_EDGE * measure_spacing(rest)]
+    first, second = rest[edges[:, 0]], rest[edges[:, 1]]
+    length = np.linalg.norm(first - second, axis=-1)
+    third = cKDTree(rest).query((first + second) / 2, k=3)[0][:, 2]
+    return edges[(length < MAX_EDGE * measure_spacing(rest)) & (third > MIN_FREE * length)]
 
 
 def estimate_rings(rest: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "P"]:

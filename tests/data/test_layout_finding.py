@@ -58,7 +58,7 @@ def test_layouts_of_simulated_sensors(command, tmp_path, sensor, dark):
     found = read_layout(file)
     check_sensor(found)
     assert (found.name, found.pins, found.dark) == ("mine", sensor.pins, dark)
-    assert 4 < 2 * len(json.loads(file.read_text())["neighbours"]) / sensor.pins < 6
+    assert 3 < 2 * len(json.loads(file.read_text())["neighbours"]) / sensor.pins < 6
     rest = ("--rest", tmp_path / "untouched", "--out", tmp_path / "out")
     succeed(command, "pins", tmp_path / "slides", "--layout", file, *rest)
     with np.load(tmp_path / "out" / "pins.npz") as stored:

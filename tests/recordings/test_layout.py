@@ -1,6 +1,6 @@
 """Run every command of docs/layouts.md on a rectangular pad with dark markers."""
 
-import importlib.util
+import importlib
 import json
 import re
 import shlex
@@ -78,9 +78,8 @@ def test_commands_of_the_page(command, laboratory, monkeypatch):
 def test_the_exported_module_finds_dark_markers(laboratory, monkeypatch):
     """It reads the pins that the model reads, without the package's layout file."""
     monkeypatch.chdir(laboratory)
-    spec = importlib.util.spec_from_file_location("pad_pins", laboratory / "pad_pins.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    monkeypatch.syspath_prepend(laboratory)
+    module = importlib.import_module("pad_pins")
     frame = read_image(next((laboratory / "recordings" / "pad").rglob("image_7.png")))
     reading, model = module.CAMERA.read(frame), load_model("runs/pad")
     expected = model.reader.read(model.prepare(frame)[None])
