@@ -225,7 +225,7 @@ def _track_pins(
             followed = float(np.mean([track.identified for track in tracks]))
             layout = sensor.name
             break
-    is_known = any(sensor.dark for sensor in sensors)
+    is_known = any(sensor.is_dark for sensor in sensors)
     return PinCheck(len(detections), median, layout, followed, dark and not is_known, "")
 
 

@@ -67,7 +67,7 @@ class Sensor:
         return len(self.place_pins())
 
     @property
-    def dark(self) -> bool:
+    def is_dark(self) -> bool:
         """Whether markers are dark on a light ground."""
         return False
 
@@ -115,6 +115,10 @@ class MarkerSensor(Sensor):
     # column and row of each marker at rest, from the middle of the image, over its shorter side
     markers: tuple[tuple[float, float], ...] = ()
     dark: bool = False  # whether markers are dark on a light ground
+
+    @property
+    def is_dark(self) -> bool:
+        return self.dark
 
     def place_pins(self) -> np.ndarray:
         """Return the markers (P, 2), in the unit of the image's shorter side."""

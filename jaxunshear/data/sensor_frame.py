@@ -185,7 +185,7 @@ def find_sensor_frame(
 
     Raises UserError if they do not show pins of this sensor.
     """
-    view = find_training_view(contacts, settings.preprocess, sensor.dark)
+    view = find_training_view(contacts, settings.preprocess, sensor.is_dark)
     size = min(LARGEST_PX, *read_image(contacts.files[select_probes(contacts)[0]]).shape[:2])
     train = np.flatnonzero(contacts.split == SPLITS.index("train"))
     taps = train[~contacts.is_slide[train]]

@@ -54,7 +54,7 @@ def make_layout(sensor: Sensor) -> MarkerLayout:
     """Return the pins of a sensor, in its order. Raises UserError for one that cannot be."""
     name, flat = f"sensor '{sensor.name}' ({sensor.layout})", compute_pin_lattice(sensor)
     flat = flat - (flat.max(axis=0) + flat.min(axis=0)) / 2
-    return MarkerLayout(name, flat, compute_rings(sensor), _find_symmetry(flat), sensor.dark)
+    return MarkerLayout(name, flat, compute_rings(sensor), _find_symmetry(flat), sensor.is_dark)
 
 
 def _find_symmetry(flat: np.ndarray) -> float:

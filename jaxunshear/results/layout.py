@@ -10,7 +10,7 @@ from jaxunshear.config.sensor import MarkerSensor
 from jaxunshear.errors import UserError
 from jaxunshear.results.record_files import read_record
 
-REMEDY = "make it again by `jaxunshear layout FRAMES --out FILE`"
+REMEDY = "make one by `jaxunshear layout FRAMES --out FILE`"
 
 
 @dataclass(frozen=True, kw_only=True)
