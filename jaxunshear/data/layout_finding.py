@@ -194,7 +194,8 @@ def _describe(reading: _Reading, places: _Places, name: str, recordings: Recordi
     if not _is_regular(rest):
         raise UserError(f"{recordings.path}: its dots are scattered: they are no layout of markers")
     if places.rare:
-        left_out.append(f"left out {places.rare} dots: fewer than half of the frames show them")
+        dots = f"{places.rare} dot{'s' if places.rare > 1 else ''}"
+        left_out.append(f"left out {dots}: fewer than half of the frames show them")
     return FoundLayout(_make_file(reading, rest, name), frames, int(np.sum(used)), left_out)
 
 
