@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Preprocess
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Preprocess, Sensor
 from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
 from jaxunshear.data.recorded_contacts import MIN_MOVE
 from jaxunshear.data.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
@@ -29,6 +29,7 @@ from jaxunshear.perception.pin_detection import detect_pins
 from jaxunshear.perception.pin_tracking import track_all
 from jaxunshear.perception.preprocess import combine_views, find_view, prepare_frame
 from jaxunshear.progress import Progress
+from jaxunshear.results.layout import read_layout
 from jaxunshear.selection import select_evenly
 
 LAYOUTS = (TACTIP_331, TACTIP_127)
@@ -39,8 +40,8 @@ MIN_PINS = 20  # frames with fewer show no layout
 MIN_DOTS = 5  # frames with fewer show no pins
 MIN_FOLLOWED = 0.5  # share of the frames: commands leave out the others, and half is no success
 MAX_LISTED_IMAGES = 20  # problems in the text; --json has all
-INVERTED = "the pins are dark on a light ground: invert the frames, then check them again"
-NO_PINS = "no pins are found: frames must show the light pins of a TacTip on a dark ground"
+INVERTED = "the pins are dark on a light ground, which a layout file says"
+NO_PINS = "no pins are found: frames must show light pins on a dark ground, or dark ones on a light"
 FEW_PINS = f"about {{:.0f}} pins are found: sensors of fewer than {MIN_PINS} are not known here"
 UNSURE = (
     "identities of pins are sure in only {:.0%} of the frames: light and focus the sensor well, "
@@ -98,13 +99,16 @@ class Diagnosis:
     note: str  # advice on that command, or what to do first
 
 
-def check_recordings(path: Path, without: Sequence[int] = ()) -> Diagnosis:
+def check_recordings(
+    path: Path, without: Sequence[int] = (), layout: Path | None = None
+) -> Diagnosis:
     """Read every frame at `path` and detect the pins in about INSPECTED_IMAGES of them.
 
-    Pins in `without` are lost, or else those that no frame shows. Raises UserError if no frame can
-    be used.
+    Pins in `without` are lost, or else those that no frame shows. They are those of the file
+    `layout`, or of a known sensor. Raises UserError if no frame can be used.
     """
-    check_pin_numbers(without, max(sensor.pins for sensor in LAYOUTS))
+    sensors = LAYOUTS if layout is None else (read_layout(layout),)
+    check_pin_numbers(without, max(sensor.pins for sensor in sensors))
     recordings = read_recordings(path, Preprocess())
     problems = [
         note if isinstance(note, LabelProblem) else LabelProblem.from_line(path, note)
@@ -114,7 +118,7 @@ def check_recordings(path: Path, without: Sequence[int] = ()) -> Diagnosis:
     for row, file in enumerate(recordings.files):
         rows.setdefault(file.parent, []).append(row)
     share = max(MIN_INSPECTED_PER_FOLDER, INSPECTED_IMAGES // len(rows))
-    check_pins = partial(_check_pins, share, without)
+    check_pins = partial(_check_pins, share, partial(_track_pins, sensors, without))
     with Progress(f"doctor {path.name}", len(recordings)) as progress:
         folders = [
             _check_folder(recordings, folder_rows, check_pins, problems, progress)
@@ -124,7 +128,7 @@ def check_recordings(path: Path, without: Sequence[int] = ()) -> Diagnosis:
         raise UserError(
             f"none of {len(recordings)} images in {path} can be used; the last: {problems[-1]}"
         )
-    command, note = _choose_command(path, [folder for folder in folders if folder.pins])
+    command, note = _choose_command(path, [folder for folder in folders if folder.pins], layout)
     listed = [{"place": str(each.place), "row": each.row, "text": str(each)} for each in problems]
     return Diagnosis(str(path), folders, listed, bool(command), command, note)
 
@@ -189,38 +193,49 @@ def _check_labels(recordings: Recordings, rows: list[int]) -> LabelCheck:
     return LabelCheck(int(has_pose.sum()), taps, slides, ranges)
 
 
-def _check_pins(share: int, without: Sequence[int], files: list[Path]) -> PinCheck | None:
-    """Detect the pins of `share` frames of one size, or of their negatives if only these fit."""
+def _check_pins(
+    share: int, track: Callable[[list[np.ndarray], bool], PinCheck], files: list[Path]
+) -> PinCheck | None:
+    """Detect the pins of `share` frames of one size, light or, if only these fit, dark ones."""
     raws = [read_image(files[i]) for i in select_evenly(len(files), share)]
     if not raws:
         return None
-    check = _track_pins(raws, without)
+    check = track(raws, False)
     if check.followed >= MIN_FOLLOWED:
         return check
-    negative = _track_pins([1 - to_grey(raw) for raw in raws], without, inverted=True)
-    if negative.followed > check.followed:
+    negative = track(raws, True)
+    is_better = check.median < MIN_PINS <= negative.median
+    if negative.followed > check.followed or (negative.followed == check.followed and is_better):
         return negative
     return replace(check, exposure=explain_exposure(to_grey(raws[len(raws) // 2])))
 
 
-def _track_pins(raws: list[np.ndarray], without: Sequence[int], inverted: bool = False) -> PinCheck:
+def _track_pins(
+    sensors: Sequence[Sensor], without: Sequence[int], raws: list[np.ndarray], dark: bool
+) -> PinCheck:
     preprocess = Preprocess(size=int(np.clip(min(raws[0].shape[:2]), MIN_PX, LARGEST_PX)))
-    view = combine_views([find_view(preprocess, raw) for raw in raws])
+    view = combine_views([find_view(preprocess, raw, dark) for raw in raws])
     detections = [detect_pins(prepare_frame(preprocess, raw, view)) for raw in raws]
     median = float(np.median([len(each.pins) for each in detections]))
     layout, followed = None, 0.0
-    for sensor in LAYOUTS:
+    for sensor in sensors:
         with suppress(UserError):  # too few pins, or in another pattern
             lattice = fit_lattice([each.pins for each in detections], make_layout(sensor), without)
             tracks = track_all(lattice, detections)
             followed = float(np.mean([track.identified for track in tracks]))
             layout = sensor.name
             break
-    return PinCheck(len(detections), median, layout, followed, inverted, "")
+    is_known = any(sensor.is_dark for sensor in sensors)
+    return PinCheck(len(detections), median, layout, followed, dark and not is_known, "")
 
 
-def _choose_command(path: Path, usable: Sequence[FolderCheck]) -> tuple[str, str]:
-    """Choose the next command for the usable folders at `path`, and advice on it."""
+def _choose_command(
+    path: Path, usable: Sequence[FolderCheck], file: Path | None
+) -> tuple[str, str]:
+    """Choose the next command for the usable folders at `path`, and advice on it.
+
+    `file` is a layout's.
+    """
     pins = usable[0].pins
     assert pins is not None
     if len({(each.size, each.pins.layout, each.pins.inverted) for each in usable if each.pins}) > 1:
@@ -229,27 +244,31 @@ def _choose_command(path: Path, usable: Sequence[FolderCheck]) -> tuple[str, str
         return _join("doctor", largest), advice
     if reason := _explain_pins(pins):
         return "", reason
-    if pins.layout is None:
-        layouts = " and ".join(f"{sensor.pins} ({sensor.name})" for sensor in LAYOUTS)
-        advice = f"about {pins.median:.0f} pins match no known layout, {layouts}"
-        file = "FILE gives x and y of each pin, a line each"
-        return _join("pins", path, "--layout", "FILE"), f"{advice}; {file}"
+    if pins.layout is None or pins.inverted:
+        known = " and ".join(f"{sensor.pins} ({sensor.name})" for sensor in LAYOUTS)
+        layouts = f"no known layout, {known}" if file is None else f"{file} not"
+        unknown = f"about {pins.median:.0f} pins match {layouts}"
+        advice = (
+            f"{INVERTED if pins.inverted else unknown}; frames of the untouched sensor are best"
+        )
+        return _join("layout", path, "--out", "layout.json"), advice
     taps = sum(each.labels.taps for each in usable)
     slides = sum(each.labels.slides for each in usable)
+    named = () if file is None else ("--layout", file)
     if taps and slides:
-        return _join("fit", "--taps", path, "--slides", path), ""
+        return _join("fit", "--taps", path, "--slides", path, *named), ""
     if taps or slides:
         advice = "these networks learn to read poses, not to unshear"
-        if taps and pins.layout == TACTIP_331.name:
+        if taps and pins.layout == TACTIP_331.name and not file:
             advice += "; with --unshear.input pins --paired.pairing simulated they unshear"
-        return _join("fit", "--taps" if taps else "--slides", path), advice
-    return _choose_inference(path, usable, pins.layout)
+        return _join("fit", "--taps" if taps else "--slides", path, *named), advice
+    if file is None:
+        return _choose_inference(path, usable, pins.layout)
+    return _join("pins", path, *named), "training needs labels of poses, which these frames lack"
 
 
 def _explain_pins(pins: PinCheck) -> str:
     """Say why no command can follow these pins; empty if one may."""
-    if pins.inverted:
-        return INVERTED
     if pins.median < MIN_DOTS:
         return "; ".join(filter(None, (NO_PINS, pins.exposure)))
     if pins.exposure:

@@ -21,6 +21,7 @@ from jaxunshear.config.networks import (
     UnshearNet,
     select_networks,
 )
+from jaxunshear.config.sensor import MarkerSensor
 from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS, list_column_names
 from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.config.types import Value
@@ -74,7 +75,8 @@ def set_recordings(
     """Change `experiment` to the taps and slides in these folders, which may be one.
 
     Networks that they do not allow are left out: without taps nothing unshears, and poses are
-    predicted by a PoseNet of slides alone. Raises UserError.
+    predicted by a PoseNet of slides alone. A sensor of a layout file is kept, others are identified
+    by the number of pins. Raises UserError.
     """
     recorded = experiment.paired
     if not isinstance(recorded, Recorded):
@@ -106,7 +108,8 @@ def set_recordings(
         raise UserError(
             f"networks: none of {', '.join(experiment.networks)} can learn from these recordings"
         )
-    sensor = identify_sensor(contacts, recorded.preprocess)
+    if not isinstance(sensor := experiment.sensor, MarkerSensor):
+        sensor = identify_sensor(contacts, recorded.preprocess)
     return replace(experiment, paired=recorded, networks=networks, sensor=sensor)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from jaxunshear.cli.models import choose_exit_code
 from jaxunshear.cli.program import (
     DATA,
+    LAYOUT,
     Command,
     Option,
     flag,
@@ -136,6 +137,7 @@ def _apply_recordings(experiment: Experiment, arguments: argparse.Namespace) -> 
 def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
     """Write the experiment of `fit` beside its results."""
     from jaxunshear.fit import BASE_EXPERIMENT, set_recordings, set_tasks, write_experiment
+    from jaxunshear.results.layout import read_layout
 
     named = [str(folder) for folder in arguments.recordings or ()]
     folders = [str(each or "") for each in (arguments.taps, arguments.slides, arguments.pairs)]
@@ -146,6 +148,8 @@ def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
         )
     fields = ["--name", "fit", *(("--unshear.input", "pins") if named else ()), *arguments.fields]
     experiment = override_fields(BASE_EXPERIMENT, fields)
+    if arguments.layout:
+        experiment = replace(experiment, sensor=read_layout(arguments.layout))
     if len(named) > 1:
         experiment = set_tasks(experiment, named)
     else:
@@ -326,7 +330,7 @@ OPTIONS: dict[str, tuple[str, tuple[Option, ...]]] = {
             path(
                 "--pairs", "FILE", "CSV with columns slide and tap: the files that belong together"
             ),
-            *(OUT, DATA, json_file()),
+            *(LAYOUT, OUT, DATA, json_file()),
         ),
     ),
     "sweep": (

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from jaxunshear.cli.program import (
+    LAYOUT,
     ROWS,
     WITHOUT,
     Command,
@@ -101,7 +102,8 @@ def apply(
 def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None") -> object:
     from jaxunshear.data.recorded_pins import find_pins, summary
     from jaxunshear.data.recordings import read_recordings
-    from jaxunshear.perception.lattice_fitting import make_layout, read_layout
+    from jaxunshear.perception.lattice_fitting import make_layout
+    from jaxunshear.results.layout import read_layout
 
     if not arguments.path.exists():
         raise UserError(f"{arguments.path} does not exist: name {IMAGES}")
@@ -121,7 +123,7 @@ def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None")
             )
         lattice = model.lattice
     elif arguments.layout:
-        lattice = read_layout(arguments.layout)
+        lattice = make_layout(read_layout(arguments.layout))
     else:
         lattice = make_layout(get_sensor(arguments.sensor))
     found = find_pins(arguments.path, lattice, preprocess, arguments.rest, arguments.without)
@@ -315,11 +317,7 @@ COMMANDS = (
             option(
                 "--sensor", "NAME", "name of the sensor (default: tactip331)", default="tactip331"
             ),
-            path(
-                "--layout",
-                "FILE",
-                "instead: a file with x and y of each pin, one pin a line, in any unit",
-            ),
+            LAYOUT,
             path("--model", "MODEL", "instead: sensor and camera of a simulated run"),
         ],
         path("--rest", "RECORDINGS", "frames of the untouched sensor (default: the images' mean)"),

@@ -115,6 +115,9 @@ WITHOUT = option(
     type=_parse_pins,
     default=(),
 )
+LAYOUT = path(
+    "--layout", "FILE", "a file of `jaxunshear layout`, for a sensor that is not known here"
+)
 DATA = path(
     "--data", "DIR", "folder of the data sets (default: datasets)", default=Path("datasets")
 )

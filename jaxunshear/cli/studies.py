@@ -8,6 +8,7 @@ from jaxunshear import __version__
 from jaxunshear.cli.models import choose_exit_code
 from jaxunshear.cli.program import (
     DATA,
+    LAYOUT,
     ROWS,
     WITHOUT,
     Command,
@@ -21,21 +22,49 @@ from jaxunshear.cli.program import (
 from jaxunshear.config.serialization import check_finished_run, check_unreleased, load_task_settings
 from jaxunshear.errors import UserError
 from jaxunshear.files import to_builtins, write_bytes, write_json
-from jaxunshear.output_checks import check_new_folder, check_not_among
+from jaxunshear.output_checks import (
+    check_new_file,
+    check_new_folder,
+    check_not_among,
+    check_outside,
+)
 
 COMPARE_OUT = Path("runs/compare")
 SHOWN_NOTES = 5
 CITATIONS = Path(__file__).parents[1] / "citations.bib"
+FOUND = "what was found, with command, machine and versions"  # what `--json` writes
 
 
 def doctor(arguments: argparse.Namespace, command: str) -> int:
     """Run the command; return 0, or 1 if no command can use the frames."""
     from jaxunshear.doctor import check_recordings, describe
 
-    diagnosis = check_recordings(arguments.path, arguments.without)
+    diagnosis = check_recordings(arguments.path, arguments.without, arguments.layout)
     print("\n".join(describe(diagnosis)))
     write_measurement(arguments.json, command, to_builtins(diagnosis))
     return 0 if diagnosis.usable else 1
+
+
+def layout(arguments: argparse.Namespace, command: str) -> int:
+    from jaxunshear.results.layout import read_layout
+    from jaxunshear.results.record_files import write_record
+
+    file = arguments.file
+    if file.is_file():
+        try:
+            read_layout(file)
+        except UserError:
+            raise UserError(f"--out {file} is there, and is no layout: name another file") from None
+    else:
+        check_new_file(file, "--out")
+    check_outside(file, "--out")
+    from jaxunshear.data.layout_finding import describe_layout, find_layout
+
+    found = find_layout(arguments.path, file.stem)
+    write_record(file, found.layout)
+    print("\n".join([*describe_layout(found), str(file)]))
+    write_measurement(arguments.json, command, to_builtins(found))
+    return 0
 
 
 def calibrate(arguments: argparse.Namespace, command: str) -> int:
@@ -206,8 +235,19 @@ COMMANDS = (
         doctor,
         (
             path("path", "RECORDINGS", "a folder of recordings, one above several, or an image"),
+            LAYOUT,
             WITHOUT,
-            json_file("what was found, with command, machine and versions"),
+            json_file(FOUND),
+        ),
+    ),
+    Command(
+        "layout",
+        "find the layout of a sensor's markers, if it is not a known one",
+        layout,
+        (
+            path("path", "RECORDINGS", "frames of the untouched sensor, or taps"),
+            path("--out", "FILE", "new file of the layout, as JSON", dest="file", required=True),
+            json_file(FOUND),
         ),
     ),
     Command(

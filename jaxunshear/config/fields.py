@@ -42,7 +42,8 @@ USUAL_NAMES = {
     **dict.fromkeys(("random_seed", "rng_seed"), "seed"),
     **dict.fromkeys(("mu", "friction_coefficient"), "friction"),
 }
-NOT_SETTABLE = ("config", "digest", "tasks")  # they name settings or folders, and set none
+# they name settings, folders or what is in a layout file, and set none
+NOT_SETTABLE = ("config", "digest", "tasks", "markers", "dark")
 
 
 def override_fields(experiment: Experiment, argv: Sequence[str]) -> Experiment:

@@ -11,7 +11,7 @@ from typing import Any
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import LOSSES
 from jaxunshear.config.networks import REGISTRY
-from jaxunshear.config.sensor import LAYOUTS, RING_LAYOUTS
+from jaxunshear.config.sensor import LAYOUTS, PACKAGE_LAYOUTS
 from jaxunshear.config.types import check_types
 from jaxunshear.errors import UserError
 
@@ -63,7 +63,7 @@ def run_file(path: Path) -> dict[str, Any]:
 def list_registering_files() -> list[str]:
     """List the experiment files that have registered losses, layouts or networks."""
     functions = [spec.compute for spec in LOSSES.values() if spec.compute]
-    functions += [place for name, place in LAYOUTS.items() if name not in RING_LAYOUTS]
+    functions += [place for name, place in LAYOUTS.items() if name not in PACKAGE_LAYOUTS]
     files = {function.__code__.co_filename for function in functions}
     return sorted(files | {spec.file for spec in REGISTRY.values() if spec.file})
 

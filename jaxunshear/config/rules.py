@@ -18,7 +18,7 @@ from jaxunshear.config.networks import (
     list_networks,
 )
 from jaxunshear.config.rules_simulated import find_simulated_problems
-from jaxunshear.config.sensor import TACTIP_331_FITTED
+from jaxunshear.config.sensor import TACTIP_331_FITTED, MarkerSensor
 from jaxunshear.config.targets import (
     LABELLED_SLIDES,
     RECORDED_FIELDS,
@@ -81,11 +81,11 @@ def find_experiment_problems(experiment: Experiment) -> Iterator[Problem]:
 
 def _find_recorded_problems(experiment: Experiment, recorded: Recorded) -> Iterator[Problem]:
     """Find problems of an experiment about recordings, before these are read."""
-    pins, sensor_pins = experiment.pins, experiment.sensor.pins
-    fitted = TACTIP_331_FITTED.pins
-    if recorded.pairing == "simulated" and sensor_pins != fitted:
+    pins, sensor, fitted = experiment.pins, experiment.sensor, TACTIP_331_FITTED.pins
+    is_fitted = sensor.pins == fitted and not isinstance(sensor, MarkerSensor)
+    if recorded.pairing == "simulated" and not is_fitted:
         problem = f"simulated follows the one sensor that is fitted, of {fitted} pins"
-        yield "paired.pairing", f"{problem}; yours has {sensor_pins}"
+        yield "paired.pairing", f"{problem}; yours, {sensor.name}, has {sensor.pins}"
     if recorded.direct_taps == "rendered" and not uses_pins(experiment):
         yield "paired.direct_taps", "rendered is for networks over pins: use recorded"
     if pins.rotated_share and pins.direct_conv_channels:

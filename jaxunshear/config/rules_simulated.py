@@ -13,7 +13,12 @@ from jaxunshear.config.experiment import (
 )
 from jaxunshear.config.network_config import list_trained_networks, takes_taps
 from jaxunshear.config.networks import POSENET, TEACHER
-from jaxunshear.config.sensor import Sensor, compute_contact_angle, compute_max_contact_depth_mm
+from jaxunshear.config.sensor import (
+    MarkerSensor,
+    Sensor,
+    compute_contact_angle,
+    compute_max_contact_depth_mm,
+)
 from jaxunshear.config.stimuli import SHOWN_TARGETS, list_stimulus_names
 from jaxunshear.config.targets import (
     PAPER_TARGETS,
@@ -33,6 +38,9 @@ ROTATED_TARGETS = {"edge_mm", "edge_deg", "depth_mm"}
 def find_simulated_problems(
     experiment: Experiment, paired: PairedData, pose: PoseData
 ) -> Iterator[Problem]:
+    if isinstance(experiment.sensor, MarkerSensor):
+        remedy = "simulate one that `jaxunshear sensors` lists"
+        yield "sensor", f"is known by a layout file, which has no millimetres: {remedy}"
     yield from _find_reach_problems(paired, "paired.", experiment.sensor)
     yield from _find_reach_problems(pose, "pose.", experiment.sensor)
     yield from _find_target_problems(experiment, paired, pose)

@@ -13,7 +13,7 @@ A marker layout is one function. In an experiment file it is registered by one l
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -44,9 +44,12 @@ class Sensor:
     silicone gel; the motions of pins depend on their ratio alone.
     """
 
+    registered: ClassVar[dict[str, type["Sensor"]]] = {}
+
     name: str = "tactip331"  # the sensor, as `jaxunshear sensors` lists it
     # how pins are placed: "rings", of 1, 6, 12, ... pins; "hexagonal", a triangular lattice cut to
-    # a hexagon; or one that an experiment file registers
+    # a hexagon; "rectangular", a grid of three rows to four columns; or one that an experiment file
+    # registers
     layout: str = "rings"
     rings: Annotated[int, between(1, 50)] = 10  # rings of pins, around the one at the apex
     pin_spacing_mm: Positive = 1.5  # from ring to ring, along the dome
@@ -64,9 +67,9 @@ class Sensor:
         return len(self.place_pins())
 
     @property
-    def has_rings(self) -> bool:
-        """Whether the pins stand in rings of 1, 6, 12, ... around the apex."""
-        return self.layout in RING_LAYOUTS
+    def is_dark(self) -> bool:
+        """Whether markers are dark on a light ground."""
+        return False
 
     def place_pins(self) -> np.ndarray:
         """Place the pins on the flattened dome: (P, 2) mm of arc from the apex.
@@ -97,9 +100,39 @@ class Sensor:
         rim, reach = self.dome_radius_mm * math.pi / 2, np.linalg.norm(places, axis=-1).max()
         if reach >= rim:
             problem = f"pins {reach:.1f} mm from the apex go past the dome's rim at {rim:.1f} mm"
-            yield "rings" if self.has_rings else "layout", f"{problem}: use fewer or closer ones"
+            named = "rings" if self.layout in PACKAGE_LAYOUTS else "layout"
+            yield named, f"{problem}: use fewer or closer ones"
 
 
+@dataclass(frozen=True)
+class MarkerSensor(Sensor):
+    """A sensor of which a layout file alone is known: where markers rest in its images.
+
+    It has no millimetres, so that nothing of it can be simulated.
+    """
+
+    layout: str = "file"
+    # column and row of each marker at rest, from the middle of the image, over its shorter side
+    markers: tuple[tuple[float, float], ...] = ()
+    dark: bool = False  # whether markers are dark on a light ground
+
+    @property
+    def is_dark(self) -> bool:
+        return self.dark
+
+    def place_pins(self) -> np.ndarray:
+        """Return the markers (P, 2), in the unit of the image's shorter side."""
+        return np.array(self.markers, float).reshape(-1, 2)
+
+    def find_problems(self) -> Iterator[Problem]:
+        if len(self.markers) < MIN_MARKERS:
+            yield "markers", f"name at least {MIN_MARKERS}, or they cannot be distinguished"
+        if len(set(self.markers)) < len(self.markers):
+            yield "markers", "place each elsewhere"
+
+
+MIN_MARKERS = 20
+Sensor.registered |= {kind.__name__: kind for kind in (MarkerSensor, Sensor)}
 LayoutFunction = Callable[[Sensor], object]
 
 
@@ -124,8 +157,19 @@ def place_in_hexagon(sensor: Sensor) -> np.ndarray:
     return sensor.pin_spacing_mm * np.concatenate(points)
 
 
-LAYOUTS: dict[str, LayoutFunction] = {"rings": place_in_rings, "hexagonal": place_in_hexagon}
-RING_LAYOUTS = tuple(LAYOUTS)
+def place_in_rectangle(sensor: Sensor) -> np.ndarray:
+    """Place pins on a square lattice, cut to a rectangle as wide as `rings` on either side."""
+    across, up = sensor.rings, round(0.75 * sensor.rings)
+    grid = np.meshgrid(np.arange(-across, across + 1), np.arange(-up, up + 1))
+    return sensor.pin_spacing_mm * np.stack(grid, axis=-1).reshape(-1, 2)
+
+
+LAYOUTS: dict[str, LayoutFunction] = {
+    "rings": place_in_rings,
+    "hexagonal": place_in_hexagon,
+    "rectangular": place_in_rectangle,
+}
+PACKAGE_LAYOUTS = tuple(LAYOUTS)
 
 
 def _explain_layouts() -> str:
@@ -154,8 +198,10 @@ def register_layout(name: str) -> Callable[[LayoutFunction], LayoutFunction]:
 def describe_sensor(sensor: Sensor) -> dict[str, object]:
     """Describe in plain JSON types everything that decides a sensor's bits."""
     fields = asdict(sensor)
+    if sensor.layout in PACKAGE_LAYOUTS or isinstance(sensor, MarkerSensor):
+        return fields
     # the name of another layout does not say where its function places pins
-    return fields if sensor.has_rings else fields | {"places": sensor.place_pins().tolist()}
+    return fields | {"places": sensor.place_pins().tolist()}
 
 
 TACTIP_331 = Sensor()

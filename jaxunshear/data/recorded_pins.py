@@ -74,7 +74,7 @@ def find_pins(
             size=LARGEST_PX if first is None else min(LARGEST_PX, *first.shape[:2])
         )
     recordings = read_recordings(path, preprocess)
-    view = recordings.find_common_view()
+    view = recordings.find_common_view(dark=isinstance(lattice, MarkerLayout) and lattice.dark)
     detection = _detect_all(recordings, view)
     names = detection.names
     start = time.perf_counter()

@@ -108,13 +108,13 @@ class Recordings:
         """
         from jaxunshear.perception.preprocess import prepare_frame
 
-        problem = ""
+        problem, is_dark = "", view is not None and view.dark
         views: dict[Path, View] = {}
         names_by_size: dict[Path, dict[tuple[int, ...], list[str]]] = {}
         for row, file in enumerate(self.files):
             name, folder = self._name(file), file.parent
             if folder not in views:
-                common = view if view and view.box else self.find_common_view(folder)
+                common = view if view and view.box else self.find_common_view(folder, is_dark)
                 views[folder] = common._replace(whites=view.whites) if view else common
                 names_by_size[folder] = {}
             try:
@@ -139,28 +139,30 @@ class Recordings:
         if problem not in self.notes:  # frames may be asked for twice
             self.notes.append(problem)
 
-    def find_common_view(self, folder: Path | None = None) -> View:
+    def find_common_view(self, folder: Path | None = None, dark: bool = False) -> View:
         """Find the crop and the whites that suit up to PROBES frames, of all or of one folder.
+
+        `dark`: markers are dark on a light ground.
 
         The crop is one for all, as a crop that trembled would appear as motion. There is none if
         the frames differ in size.
         """
         files = [file for file in self.files if folder in (None, file.parent)]
-        return find_common_view(files[:: -(-len(files) // PROBES)], self.preprocess)
+        return find_common_view(files[:: -(-len(files) // PROBES)], self.preprocess, dark)
 
 
-def find_common_view(files: Sequence[Path], preprocess: Preprocess) -> View:
+def find_common_view(files: Sequence[Path], preprocess: Preprocess, dark: bool = False) -> View:
     """Find the crop and whites of frames; no crop if these differ in size."""
-    from jaxunshear.perception.preprocess import View, combine_views, find_view
+    from jaxunshear.perception.preprocess import combine_views, find_view
 
     views, sizes = [], set[tuple[int, ...]]()
     for file in files:
         with contextlib.suppress(UserError):  # whoever reads all frames reports it
             raw = read_image(file)
-            views.append(find_view(preprocess, raw))
+            views.append(find_view(preprocess, raw, dark))
             sizes.add(raw.shape[:2])
     common = combine_views(views)
-    return common if len(sizes) == 1 else View(None, common.whites)
+    return common if len(sizes) == 1 else common._replace(box=None, frame_px=None)
 
 
 def read_image(file: Path | bytes) -> np.ndarray:

@@ -69,6 +69,7 @@ class SensorFrame(NamedTuple):
             "box": self.view.box,
             "whites": self.view.whites,
             "frame_px": self.view.frame_px,
+            "dark": self.view.dark,
             "place_px": np.round(self.rest, 4).tolist(),
             "shell": self.ring.tolist(),
             "spacing_px": round(self.spacing_px, 4),
@@ -87,7 +88,7 @@ def parse_frame(stored: Json) -> SensorFrame:
     box = Box(*stored["box"]) if stored["box"] else None
     height, width = stored.get("frame_px") or (0, 0)  # frames of before are not scaled
     return SensorFrame(
-        view=View(box, whites, (height, width) if height else None),
+        view=View(box, whites, (height, width) if height else None, stored.get("dark", False)),
         rest=np.array(stored["place_px"]),
         ring=np.array(stored["shell"]),
         spacing_px=stored["spacing_px"],
@@ -166,9 +167,15 @@ def select_probes(contacts: RecordedContacts) -> np.ndarray:
     return rows[select_evenly(len(rows), PROBES)]
 
 
-def find_training_view(contacts: RecordedContacts, preprocess: Preprocess) -> "View":
-    """Find the crop and whites of the training frames; no crop if these differ in size."""
-    return find_common_view([contacts.files[row] for row in select_probes(contacts)], preprocess)
+def find_training_view(
+    contacts: RecordedContacts, preprocess: Preprocess, dark: bool = False
+) -> "View":
+    """Find the crop and whites of the training frames; no crop if these differ in size.
+
+    `dark`: markers are dark on a light ground.
+    """
+    files = [contacts.files[row] for row in select_probes(contacts)]
+    return find_common_view(files, preprocess, dark)
 
 
 def find_sensor_frame(
@@ -178,7 +185,7 @@ def find_sensor_frame(
 
     Raises UserError if they do not show pins of this sensor.
     """
-    view = find_training_view(contacts, settings.preprocess)
+    view = find_training_view(contacts, settings.preprocess, sensor.is_dark)
     size = min(LARGEST_PX, *read_image(contacts.files[select_probes(contacts)[0]]).shape[:2])
     train = np.flatnonzero(contacts.split == SPLITS.index("train"))
     taps = train[~contacts.is_slide[train]]

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
@@ -16,6 +16,9 @@ INNER_RING_SHARE = 0.75  # of the outermost ring
 # By which a quadratic motion is drawn towards fewer terms, mostly on the rim.
 RIDGE = np.diag([1e-12, 0.05, 0.05, 0.5, 0.5, 0.5])
 RIM_RINGS = 2  # of the outermost rings, which show the view's shift
+MAX_EDGE = 1.6  # of the spacing, from a pin to its neighbour
+# of an edge, from its middle to any third pin: less in a square's diagonal, which chance would draw
+MIN_FREE = 0.6
 
 
 class Lattice(NamedTuple):
@@ -84,16 +87,42 @@ class Lattice(NamedTuple):
 
 
 def compute_rings(sensor: Sensor) -> Int[np.ndarray, "P"]:
-    """Return the ring of each pin of a sensor, 0 for the one in the middle."""
-    if not sensor.has_rings:
-        return estimate_rings(sensor.place_pins())
-    return np.repeat(np.arange(sensor.rings + 1), [1] + [6 * k for k in range(1, sensor.rings + 1)])
+    """Return the ring of each pin of a sensor, 0 in the middle."""
+    return estimate_rings(sensor.place_pins())
+
+
+def find_neighbours(rest: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "E 2"]:
+    """Find which pins are next to each other: edges of Delaunay's triangles, unless they are long.
+
+    Diagonals of squares are left out. Pins on one line have no neighbours.
+    """
+    try:
+        corners = Delaunay(rest).simplices
+    except QhullError:
+        return np.zeros((0, 2), int)
+    sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [0, 2]]])
+    edges = np.unique(np.sort(sides, axis=1), axis=0)
+    first, second = rest[edges[:, 0]], rest[edges[:, 1]]
+    length = np.linalg.norm(first - second, axis=-1)
+    third = cKDTree(rest).query((first + second) / 2, k=3)[0][:, 2]
+    return edges[(length < MAX_EDGE * measure_spacing(rest)) & (third > MIN_FREE * length)]
 
 
 def estimate_rings(rest: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "P"]:
-    """Estimate the rings of pins in any layout from their distance to the middle, in spacings."""
-    distance = np.linalg.norm(rest - rest.mean(axis=0), axis=-1)
-    return np.round(distance / measure_spacing(rest)).astype(int)
+    """Estimate the rings of pins in any layout, by steps from the outline to neighbours."""
+    edges, depth = find_neighbours(rest), np.zeros(len(rest), int)
+    if not len(edges):
+        return depth
+    sides = ConvexHull(rest).equations
+    inside = -np.max(rest @ sides[:, :2].T + sides[:, 2], axis=1)
+    reached = inside < 0.5 * measure_spacing(rest)
+    front = reached
+    while front.any():
+        near = edges[front[edges].any(axis=1)].ravel()
+        front = np.isin(np.arange(len(rest)), near) & ~reached
+        depth[~reached] += 1
+        reached = reached | front
+    return depth.max() - depth
 
 
 def make_lattice(

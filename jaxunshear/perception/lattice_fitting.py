@@ -1,7 +1,6 @@
 """Fit the lattice of a camera's images to them, however the camera frames and turns them."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -12,13 +11,12 @@ from scipy.spatial import cKDTree
 from jaxunshear.angles import rotation_2d
 from jaxunshear.config.sensor import Camera, Preprocess, Sensor
 from jaxunshear.errors import UserError
-from jaxunshear.files import read_points
 from jaxunshear.perception.lattice import (
     Lattice,
     check_pin_numbers,
     compute_rings,
-    estimate_rings,
     make_lattice,
+    measure_spacing,
 )
 from jaxunshear.perception.pin_detection import DetectedPins, find_hull
 from jaxunshear.perception.pin_track import PinTrack
@@ -34,7 +32,10 @@ MAX_MATCH_RATIO = 1.1
 MIN_PIN_SHARE = 0.7  # of a layout's pins: images that show fewer are not used
 MAX_IMAGES = 60  # images, evenly spaced: more do not change the mean
 GUESS_IMAGES = 10
-MIN_LAYOUT_PINS = 20
+FOLDS = (6, 4, 3, 2)  # turns by a share of a circle that may leave a layout alike
+MAX_FOLD_ERROR = 0.3  # of the spacing, by which pins of a layout then miss others
+# directions in which the width of an outline is measured
+DIRECTIONS = np.stack([np.cos(np.arange(18) * np.pi / 18), np.sin(np.arange(18) * np.pi / 18)])
 MIN_TRACKED_SHARE = 0.9  # of the pins, in any image
 MAX_EXTRA_SHARE = 0.1  # detected pins without an identity, over the pins
 
@@ -46,32 +47,23 @@ class MarkerLayout(NamedTuple):
     flat: np.ndarray  # (P, 2) about the middle
     ring: np.ndarray  # (P,) 0 in the middle
     symmetry_deg: float  # turned by this it looks alike, and no image shows which turn it has
+    dark: bool = False  # whether markers are dark on a light ground
 
 
 def make_layout(sensor: Sensor) -> MarkerLayout:
-    """Return the pins of a sensor, in its order."""
-    name = f"sensor '{sensor.name}' ({sensor.layout})"
-    return MarkerLayout(name, compute_pin_lattice(sensor), compute_rings(sensor), 60.0)
-
-
-def read_layout(file: Path) -> MarkerLayout:
-    """Read a user's layout: two numbers a line, x and y of a pin in any unit.
-
-    The first line may be a heading, as `y,x`. Raises `UserError` by file and line.
-    """
-    try:
-        flat = np.array(read_points(file)).reshape(-1, 2)
-    except (OSError, ValueError) as error:
-        raise UserError(f"--layout {file} cannot be read: {error}") from error
-    if len(flat) < MIN_LAYOUT_PINS or not np.isfinite(flat).all():
-        raise UserError(
-            f"--layout {file}: {len(flat)} pins with finite places; "
-            f"at least {MIN_LAYOUT_PINS} are needed to distinguish them"
-        )
-    if len(np.unique(flat, axis=0)) < len(flat):
-        raise UserError(f"--layout {file}: two pins stand at the same place")
+    """Return the pins of a sensor, in its order. Raises UserError for one that cannot be."""
+    name, flat = f"sensor '{sensor.name}' ({sensor.layout})", compute_pin_lattice(sensor)
     flat = flat - (flat.max(axis=0) + flat.min(axis=0)) / 2
-    return MarkerLayout(f"layout {file.name}", flat, estimate_rings(flat), 360.0)
+    return MarkerLayout(name, flat, compute_rings(sensor), _find_symmetry(flat), sensor.is_dark)
+
+
+def _find_symmetry(flat: np.ndarray) -> float:
+    """Find the least angle, degrees, by which pins can be turned onto each other."""
+    tree, limit = cKDTree(flat), MAX_FOLD_ERROR * measure_spacing(flat)
+    for fold in FOLDS:
+        if tree.query(flat @ rotation_2d(2 * np.pi / fold))[0].max() < limit:
+            return 360.0 / fold
+    return 360.0
 
 
 def fit_lattice(
@@ -135,7 +127,8 @@ def _guess_rest(frames: list[np.ndarray], layout: MarkerLayout) -> np.ndarray:
         outlines.append(pins[corners] if len(corners) else pins)
     hulls = np.concatenate(outlines)
     centre = (np.percentile(hulls, 2, axis=0) + np.percentile(hulls, 98, axis=0)) / 2
-    rim = float(np.median(np.linalg.norm(hulls - centre, axis=-1)))
+    widths = np.subtract(*np.percentile(hulls @ DIRECTIONS, (98, 2), axis=0))
+    rim = float(np.mean(widths) / np.mean(np.ptp(flat @ DIRECTIONS, axis=0)))
     outer = layout.ring >= layout.ring.max() - 2
     step = max(1, len(frames) // GUESS_IMAGES)
     trees = [cKDTree(pins) for pins in frames[::step][:GUESS_IMAGES]]

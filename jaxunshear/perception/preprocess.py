@@ -46,7 +46,7 @@ MAX_FRAMING_ERROR = 0.12  # of a binary frame's scale, below which it is not res
 DISC_RADIUS_RANGE = (0.15, 0.75)  # of the frame's shorter side
 MAX_DISC_ERROR = 0.05  # of the radius: usual distance of the rim from the circle
 PIN_RADIUS_RANGE = (0.1, 0.75)
-MAX_PIN_CIRCLE_ERROR = 0.1
+MAX_PIN_CIRCLE_ERROR = 0.065  # a hexagon has 0.057, a rectangle 0.07 or more
 DOT_AREA_RANGE = (0.4, 2.5)  # of the usual dot
 MIN_DOT_PX = 3
 MIN_DOTS = 20
@@ -139,6 +139,7 @@ class View(NamedTuple):
     # (type of number, the one that stands for white), unless a frame is brighter
     whites: tuple[tuple[str, float], ...] = ()
     frame_px: tuple[int, int] | None = None  # height and width of the frames that `box` is of
+    dark: bool = False  # whether markers are dark on a light ground: frames are inverted
 
 
 def prepare_frame(
@@ -156,6 +157,7 @@ def prepare_frame(
     if grey is None:
         grey = to_grey(raw, dict(view.whites).get(raw.dtype.name, 0.0))
         check_contrast(grey)
+    grey = _invert(grey) if view.dark else grey
     square = crop_frame(grey, _scale_box(view, grey.shape) or _find_box(preprocess, grey))
     mask = make_mask(preprocess)
     if square.dtype == bool and len(square) == preprocess.size:
@@ -191,11 +193,18 @@ def _blas() -> ThreadpoolController:
     return ThreadpoolController()  # searches for libraries: milliseconds
 
 
-def find_view(preprocess: Preprocess, raw: np.ndarray) -> View:
-    """Find the crop and the white of one frame. Raises UserError for one that is not usable."""
+def _invert(grey: np.ndarray) -> np.ndarray:
+    return ~grey if grey.dtype == bool else 1 - grey
+
+
+def find_view(preprocess: Preprocess, raw: np.ndarray, dark: bool = False) -> View:
+    """Find the crop and the white of one frame. Raises UserError for one that is not usable.
+
+    `dark`: its markers are dark on a light ground.
+    """
     grey = to_grey(raw)
-    box = _find_box(preprocess, grey)
-    return View(box, ((raw.dtype.name, find_white_level(raw)),), grey.shape)
+    box = _find_box(preprocess, _invert(grey) if dark else grey)
+    return View(box, ((raw.dtype.name, find_white_level(raw)),), grey.shape, dark)
 
 
 def combine_views(views: list[View]) -> View:
@@ -211,11 +220,11 @@ def combine_views(views: list[View]) -> View:
             brightest[kind] = max(white, brightest.get(kind, white))
     whites = tuple(sorted(brightest.items()))
     if not boxes:
-        return View(None, whites)
+        return View(None, whites, dark=views[0].dark if views else False)
     left, top, right, bottom = np.median(boxes, axis=0)
     side = round(max(right - left, bottom - top))
     left, top = round((left + right - side) / 2), round((top + bottom - side) / 2)
-    return View(Box(left, top, left + side, top + side), whites, views[0].frame_px)
+    return View(Box(left, top, left + side, top + side), whites, *views[0][2:])
 
 
 def _find_box(preprocess: Preprocess, grey: np.ndarray) -> Box:
@@ -263,9 +272,20 @@ def _find_disc_rim(grey: np.ndarray) -> np.ndarray:
 
 
 def _find_pin_circle(white: np.ndarray) -> "_Circle | None":
-    """Fit a circle to the outermost of the white dots (H, W); None if it is not plausible."""
-    circle = _fit_circle(_find_outer_dots(white))
-    return circle if _is_plausible(circle, white, PIN_RADIUS_RANGE, MAX_PIN_CIRCLE_ERROR) else None
+    """Fit a circle to the outermost of the white dots (H, W), or around them if none fits.
+
+    None if it is not plausible.
+    """
+    dots = _find_outer_dots(white)
+    circle = _fit_circle(dots)
+    if _is_plausible(circle, white, PIN_RADIUS_RANGE, MAX_PIN_CIRCLE_ERROR):
+        return circle
+    if not len(dots):
+        return None
+    row, column = (dots.min(axis=0) + dots.max(axis=0)) / 2  # of a rectangle
+    radius = np.hypot(dots[:, 0] - row, dots[:, 1] - column).max()
+    is_sized = radius > PIN_RADIUS_RANGE[0] * min(white.shape)
+    return _Circle(row, column, radius, 0.0) if is_sized else None
 
 
 def _find_outer_dots(white: np.ndarray) -> np.ndarray:

@@ -19,7 +19,14 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 from scipy.special import expit
 
-from jaxunshear.config.sensor import FITTED_CAMERA, TACTIP_331_FITTED, Camera, Preprocess, Sensor
+from jaxunshear.config.sensor import (
+    FITTED_CAMERA,
+    TACTIP_331_FITTED,
+    Camera,
+    MarkerSensor,
+    Preprocess,
+    Sensor,
+)
 from jaxunshear.files import Json, read_object
 from jaxunshear.perception.lattice import Lattice, find_rim, make_lattice
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
@@ -131,9 +138,13 @@ def make_scaled_gauge(
 def make_recorded_gauge(lattice: Lattice, sensor: Sensor) -> TouchGauge:
     """Make the gauge of a camera, of whose lattice the mean over contacts is known.
 
-    Contacts move the rim least. Within, each ring is drawn to the radius that it has at the
+    A layout file has no millimetres, so that contact, slip and shear remain unknown. Of other
+    sensors contacts move the rim least. Within, each ring is drawn to the radius that it has at the
     simulated camera. Of 331 pins that one, and the sensor, were fitted to real images.
     """
+    if isinstance(sensor, MarkerSensor):
+        unknown = TouchWeights(*(np.full_like(each, np.nan) for each in load_weights()))
+        return make_scaled_gauge(lattice, 1.0, 1.0, unknown)
     is_fitted = lattice.rest.shape == (TACTIP_331_FITTED.pins, 2)
     sensor, camera = (TACTIP_331_FITTED, FITTED_CAMERA) if is_fitted else (sensor, Camera())
     model = compute_rest_lattice(sensor, camera, Preprocess())

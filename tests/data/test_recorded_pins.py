@@ -9,13 +9,12 @@ from PIL import Image
 
 from jaxunshear.api import find_pins
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Camera, Nuisance
-from jaxunshear.errors import UserError
 from jaxunshear.files import to_builtins
-from jaxunshear.perception.lattice_fitting import make_layout, read_layout
+from jaxunshear.perception.lattice_fitting import make_layout
 from jaxunshear.results.applications import PinScores
 from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.simulator.camera import project, render_frame
-from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
+from jaxunshear.simulator.pin_layout import compute_pin_tips
 from tests.helpers.commands import succeed
 
 CAMERA = Camera(frame_px=256)
@@ -111,40 +110,3 @@ def test_refusals(command, tmp_path, words, said):
     answer = command("pins", tmp_path / "images", "--out", tmp_path / "out", *words)
     assert answer.code == 2 and said in answer.err and len(answer.err.splitlines()) <= 3
     assert not (tmp_path / "out" / "pins.json").exists()
-
-
-def test_a_user_s_layout(command, tmp_path):
-    file = tmp_path / "layout.csv"
-    np.savetxt(
-        file, compute_pin_lattice(TACTIP_331) * 7 + 100, delimiter=",", header="x,y", comments=""
-    )
-    write(tmp_path / "images", frames(TACTIP_331, SHIFTS)[0])
-    answer = succeed(
-        command, "pins", tmp_path / "images", "--layout", file, "--out", tmp_path / "out"
-    )
-    assert "5 of them with all 331 pins" in answer.out
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("x,y\n1,2\nthree,4\n", "line 3"),
-        ("1,2\n3,4\n", "2 pins"),
-        ("1,2,3\n3,4\n", "line 1"),
-        ("\n".join(f"{i % 10},0" for i in range(40)), "same place"),
-        ("\n".join(f"{i},nan" for i in range(40)), "line 1"),
-    ],
-)
-def test_layouts_that_are_none(tmp_path, text, said):
-    file = tmp_path / "layout.csv"
-    file.write_text(text)
-    with pytest.raises(UserError, match=said):
-        read_layout(file)
-
-
-@pytest.mark.parametrize("heading", ["", "x,y\n"])
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
-def test_a_layout_without_a_heading_keeps_its_first_pin(tmp_path, heading, encoding):
-    file = tmp_path / "layout.csv"
-    file.write_text(heading + "\n".join(f"{i % 5},{i // 5}" for i in range(25)), encoding=encoding)
-    assert len(read_layout(file).flat) == 25

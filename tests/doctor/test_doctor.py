@@ -117,8 +117,8 @@ def test_other_sensors(tmp_path):
     root = recorded(tmp_path / "other", OTHER)
     diagnosis = check_recordings(root)
     assert diagnosis.rows[0].pins.layout is None
-    assert diagnosis.next == f"jaxunshear pins {root} --layout FILE"
-    assert "about 91 pins" in diagnosis.note
+    assert diagnosis.next == f"jaxunshear layout {root} --out layout.json"
+    assert is_parsed(diagnosis.next) and "about 91 pins" in diagnosis.note
 
 
 def test_different_sensors_are_checked_apart(tmp_path):
@@ -138,9 +138,14 @@ def test_dark_pins_on_a_light_ground(tmp_path, capsys, colours):
     root = recorded(tmp_path / "set", turn=turn)
     diagnosis = check_recordings(root)
     assert diagnosis.rows[0].pins.inverted and diagnosis.rows[0].pins.layout == "tactip331"
-    assert not diagnosis.next and "invert the frames" in diagnosis.note
-    assert main(["doctor", str(root)]) == 1
-    assert "next: no command can use these frames" in capsys.readouterr().out
+    assert diagnosis.next == f"jaxunshear layout {root} --out layout.json"
+    assert "which a layout file says" in diagnosis.note
+    file = tmp_path / "layout.json"
+    assert main(["layout", str(root), "--out", str(file)]) == 0
+    assert main(["doctor", str(root), "--layout", str(file)]) == 0
+    said = capsys.readouterr().out
+    assert "layout of layout; followed in 100%" in said
+    assert f"next: jaxunshear fit --taps {root} --layout {file}" in said
 
 
 def test_images_without_pins_are_not_called_negatives(tmp_path):

@@ -20,7 +20,6 @@ from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.fit import BASE_EXPERIMENT, set_recordings
-from jaxunshear.perception.lattice_fitting import read_layout
 from tests.inputs.cases import Case, run_each
 
 OLDER = [f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)]
@@ -324,15 +323,6 @@ def check_svg_pointer(root):
         read_outline(root / "mine.svg")
 
 
-def check_layout(root):
-    pins = "\n".join(f"{i // 5},{i % 5 * 2}" for i in range(25))
-    (root / "pins.csv").write_text(f"y,x\n{pins}\n")
-    assert read_layout(root / "pins.csv").flat.max(axis=0).tolist() == [4, 2]
-    (root / "pins.csv").write_text(f"{pins}\n1_5,3\n")
-    with pytest.raises(UserError, match="line 26: '1_5,3' is not two numbers"):
-        read_layout(root / "pins.csv")
-
-
 def check_missing_row(root):
     write(root)
     change(root, lambda text: text.rpartition("image_12")[0])
@@ -513,7 +503,6 @@ CASES = [
         no_outline(POINTER.encode(), "git lfs pull"),
     ),
     Case("a pointer called svg", "read_outline", "refused", check_svg_pointer),
-    Case("head y,x, underscores", "pins --layout", "points, refused", check_layout),
 ]
 
 

@@ -7,7 +7,12 @@ from scipy.spatial import cKDTree
 from jaxunshear.angles import rotation_2d
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Sensor
 from jaxunshear.errors import UserError
-from jaxunshear.perception.lattice import compute_rings, estimate_rings, make_lattice
+from jaxunshear.perception.lattice import (
+    compute_rings,
+    estimate_rings,
+    find_neighbours,
+    make_lattice,
+)
 from jaxunshear.perception.lattice_fitting import MarkerLayout, fit_lattice, make_layout
 from jaxunshear.perception.pin_detection import DetectedPins
 from jaxunshear.perception.pin_track import (
@@ -74,6 +79,25 @@ def shuffle(place, rng, noise_px):
     """Return four frames of the pins, in any order."""
     count = len(place)
     return [place[rng.permutation(count)] + rng.normal(0, noise_px, place.shape) for _ in range(4)]
+
+
+@pytest.mark.parametrize("sensor", [TACTIP_331, TACTIP_127], ids=lambda sensor: sensor.name)
+def test_rings_of_any_layout_are_those_of_the_sensor(sensor):
+    """Steps to the outline, over neighbours, are the rings it is built of; also with holes."""
+    ring = np.repeat(np.arange(sensor.rings + 1), [1] + [6 * k for k in range(1, sensor.rings + 1)])
+    place = _flat(sensor) + np.random.default_rng(0).normal(0, 0.1, (sensor.pins, 2))
+    assert np.array_equal(estimate_rings(place), ring)
+    assert np.array_equal(estimate_rings(place[::-1]), ring[::-1])
+    seen = ~np.isin(np.arange(sensor.pins), (5, 40))
+    assert np.array_equal(estimate_rings(place[seen]), ring[seen])
+    assert (
+        np.bincount(
+            find_neighbours(np.argwhere(np.ones((5, 5))).astype(float)).ravel(), minlength=25
+        )
+        <= 4
+    ).all()
+    line = np.stack([np.arange(30.0), np.zeros(30)], axis=-1)
+    assert not estimate_rings(line).any()  # all of them are on the outline
 
 
 def test_lattice_is_found_turned_and_shifted():

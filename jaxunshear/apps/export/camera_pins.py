@@ -146,7 +146,7 @@ def write_pin_module(model: TrainedModel, model_rest: np.ndarray, file: Path) ->
 def _format(value: object) -> str:
     """Format data as an expression of Python."""
     if isinstance(value, np.ndarray):
-        return f"np.array({value.tolist()})"
+        return f"np.array({value.tolist()})".replace("nan", "np.nan")
     if is_dataclass(value):
         named = {field.name: getattr(value, field.name) for field in fields(value)}
     elif hasattr(value, "_asdict"):

@@ -86,6 +86,7 @@ class ExportCamera(NamedTuple):
     preprocess: Preprocess
     box: Box
     frames: np.ndarray  # some of them, (N, H, W) or (N, H, W, channels) uint8
+    dark: bool  # whether markers are dark on a light ground
 
 
 def read_camera(path: Path, preprocess: Preprocess, view: View | None) -> ExportCamera:
@@ -94,7 +95,8 @@ def read_camera(path: Path, preprocess: Preprocess, view: View | None) -> Export
     `view` crops the frames; without it the crop is found in them.
     """
     recordings = read_recordings(path, preprocess)
-    box = (view or recordings.find_common_view()).box
+    view = view or recordings.find_common_view()
+    box = view.box
     step = -(-len(recordings.files) // CHECKED_FRAMES)
     frames = [_read_frame(file) for file in recordings.files[::step]]
     first = frames[0]
@@ -111,7 +113,7 @@ def read_camera(path: Path, preprocess: Preprocess, view: View | None) -> Export
             f"--preprocess {path}: the crop {left},{top},{right},{bottom} is no square: "
             "name other frames"
         )
-    return ExportCamera(preprocess, box, np.stack(frames))
+    return ExportCamera(preprocess, box, np.stack(frames), view.dark)
 
 
 def _read_frame(file: Path) -> np.ndarray:
@@ -130,6 +132,8 @@ def add_preprocessing(graph: OnnxGraph, camera: ExportCamera, frame: str) -> str
         weights = np.zeros((channels[0], 1), np.float32)
         weights[:3, 0] = LUMA if channels[0] >= 3 else (1, 0, 0)[: channels[0]]
         grey = graph.add("Squeeze", graph.add("MatMul", grey, weights), np.array([-1]))
+    if camera.dark:
+        grey = graph.add("Sub", np.float32(1), grey)
     rows = _make_crop_matrix(top, bottom, height, preprocess.size)
     columns = _make_crop_matrix(left, right, width, preprocess.size)
     small = _multiply_both_sides(graph, rows, grey, columns)
@@ -153,7 +157,8 @@ def add_uint8_cast(graph: OnnxGraph, white: str) -> str:
 
 def preprocess_frames(camera: ExportCamera, frames: np.ndarray) -> np.ndarray:
     """Prepare frames (N, H, W[, channels]) with `prepare_frame`: (N, S, S) uint8 of {0, 255}."""
-    return np.stack([prepare_frame(camera.preprocess, frame, View(camera.box)) for frame in frames])
+    view = View(camera.box, dark=camera.dark)
+    return np.stack([prepare_frame(camera.preprocess, frame, view) for frame in frames])
 
 
 def _make_crop_matrix(start: int, end: int, length: int, size: int) -> np.ndarray:
