@@ -281,16 +281,14 @@ def _explain_pins(pins: PinCheck) -> str:
 
 def _choose_inference(path: Path, usable: Sequence[FolderCheck], layout: str) -> tuple[str, str]:
     """Choose the command for frames whose labels are not enough for training."""
-    if layout != TACTIP_331.name:
-        advice = f"released weights need {TACTIP_331.pins} pins"
-        return _join("pins", path, "--sensor", layout), advice
     if sum(each.usable for each in usable) < MIN_FRAMES:
         advice = f"`unshear` needs {MIN_FRAMES} frames of the same sensor: name them by --like"
-        return _join("pins", path), advice
+        return _join("pins", path, "--sensor", layout), advice
     advice = "training needs labels of poses, which these frames lack"
     if any(each.labels.posed for each in usable):
         advice = "no moves are known: to train, name a folder each by `fit --taps DIR --slides DIR`"
-    return _join("unshear", path, "--out", "unsheared"), advice
+    named = () if layout == TACTIP_331.name else ("--model", "skin127")
+    return _join("unshear", path, *named, "--out", "unsheared"), advice
 
 
 def _join(*words: str | Path) -> str:

@@ -98,7 +98,9 @@ def test_one_kind_alone_teaches_poses(tmp_path):
         assert ("--paired.pairing simulated" in diagnosis.note) == (name == "tap")
 
 
-@pytest.mark.parametrize(("count", "command"), [(3, "pins {}"), (20, "unshear {} --out unsheared")])
+@pytest.mark.parametrize(
+    ("count", "command"), [(3, "pins {} --sensor tactip331"), (20, "unshear {} --out unsheared")]
+)
 def test_poses_without_moves(tmp_path, count, command):
     """Twenty frames or more show where pins stand, which released weights need."""
     root = recorded(tmp_path / "set", columns=OLDER[:6], count=count)
@@ -113,7 +115,10 @@ def test_other_sensors(tmp_path):
     diagnosis = check_recordings(root)
     assert diagnosis.rows[0].pins.layout == "tactip127"
     assert diagnosis.next == f"jaxunshear pins {root} --sensor tactip127"
-    assert diagnosis.note == "released weights need 331 pins"
+    assert "needs 20 frames" in diagnosis.note
+    root = recorded(tmp_path / "many", TACTIP_127, columns=OLDER[:6], count=20)
+    command = f"jaxunshear unshear {root} --model skin127 --out unsheared"
+    assert check_recordings(root).next == command and is_parsed(command)
     root = recorded(tmp_path / "other", OTHER)
     diagnosis = check_recordings(root)
     assert diagnosis.rows[0].pins.layout is None
