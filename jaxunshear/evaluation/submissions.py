@@ -256,8 +256,9 @@ def _read_columns(
         except BROKEN_NPZ as error:
             raise UserError(f"{path} cannot be read as npz ({error}): write it again") from error
     else:
-        read = read_table(path)
-        table = {name: np.array([row[name] for row in read.rows.values()]) for name in read.columns}
+        read, table = read_table(path), {}
+        for name in read.columns:
+            table[name] = np.array([row[name] for row in read.rows.values()])
     column = next((name for name in NAME_COLUMNS if name in table), None)
     if column is None:
         raise UserError(f"{path} has no column of file names: add one called name")

@@ -162,11 +162,10 @@ def plot_frames(frames: Sequence[ShownFrame], model: TrainedModel) -> bytes:
         axes.set_title(title, fontsize=TITLE_PT)
     note = fill(model.source.describe(), NOTE_LETTERS)
     figure.suptitle(f"Model {model.folder.name}\n{note}", fontsize=TEXT_PT)
-    drawn = [
-        kind
-        for kind in frames[0].motion_mm
-        if any(np.isfinite(frame.motion_mm[kind]).any() for frame in frames)
-    ]
+    drawn = []
+    for kind in frames[0].motion_mm:
+        if any(np.isfinite(frame.motion_mm[kind]).any() for frame in frames):
+            drawn.append(kind)
     keys = [Line2D([], [], color=COLOURS[kind], linewidth=2, label=KEYS[kind]) for kind in drawn]
     title = f"Motion of pins from their untouched places, drawn {ARROW_LENGTH:g} times as long"
     figure.legend(

@@ -62,7 +62,7 @@ def write_tables(page: Path, folder: Path) -> list[Path]:
     for heading, cells in parser.tables:
         names[heading] = count = names.get(heading, 0) + 1
         name = f"{heading or 'table'}{f'-{count}' if count > 1 else ''}"
-        head, *rows = [[" ".join(cell.split()) for cell in row] for row in cells]
+        head, *rows = map(_strip_cells, cells)
         sheet = io.StringIO()
         csv.writer(sheet, lineterminator="\n").writerows([head, *rows])
         for path, text in (
@@ -72,6 +72,10 @@ def write_tables(page: Path, folder: Path) -> list[Path]:
             write_text(path, text)
             written.append(path)
     return written
+
+
+def _strip_cells(cells: list[str]) -> list[str]:
+    return [" ".join(cell.split()) for cell in cells]
 
 
 def format_latex(head: list[str], rows: list[list[str]]) -> str:

@@ -98,8 +98,8 @@ def test_every_readable_image_is_unsheared_in_its_place(
     )
     assert answer.code == 0, answer.err
     assert "38 images unsheared, 2 left out" in answer.out
-    assert "simulated touches only" in answer.out
-    assert "simulated touches only" in (out / "NOTE.txt").read_text()
+    assert "simulated contacts alone" in answer.out
+    assert "simulated contacts alone" in (out / "NOTE.txt").read_text()
     for name in ("image_5.png", "image_39.png"):
         assert name in answer.out
         assert not (out / "images" / name).exists()
@@ -171,7 +171,7 @@ def test_half_of_the_images_left_out_is_no_success(command, model, folder, tmp_p
 def test_pose_gives_both_readings_of_each_image(command, model, folder, tmp_path):
     answer = command("pose", folder, "--force", "--model", model, "--json", tmp_path / "pose.json")
     assert answer.code == 0, answer.err
-    assert "simulated touches only" in answer.err
+    assert "simulated contacts alone" in answer.err
     rows = list(csv.DictReader(answer.out.splitlines()))
     assert len(rows) == 38
     measured = {

@@ -199,7 +199,7 @@ def weights(tmp_path_factory):
 def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_path):
     folder = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
     full = succeed(command, "unshear", folder, "--model", weights, "--out", tmp_path / "full")
-    assert "30 images unsheared, 0 left out" in full.out and "simulated touches only" in full.out
+    assert "30 images unsheared, 0 left out" in full.out and "simulated contacts alone" in full.out
     rows = (tmp_path / "full" / "poses.csv").read_text().splitlines()
     one = folder / "images" / "image_7.png"
     alone = command("unshear", one, "--model", weights, "--out", tmp_path / "alone")

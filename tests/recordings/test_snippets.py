@@ -94,7 +94,7 @@ def test_a_snippet_answers_for_frames_of_a_camera(snippet, place, frames, monkey
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         exec(snippet, names)
-    assert not [note for note in said if "simulated touches only" in str(note.message)]
+    assert not [note for note in said if "simulated contacts alone" in str(note.message)]
     unsheared = names["model"].unshear(names["images"])
     sure = np.isfinite(unsheared).all(axis=(1, 2))
     assert len(sure) == len(frames) and sure.mean() > 0.9
@@ -112,5 +112,5 @@ def test_weights_for_simulated_images_are_loaded_for_these_alone():
 
 def test_weights_that_learnt_from_simulated_images_warn_about_a_camera(frames):
     model = load_model("standard")
-    with pytest.warns(Note, match="simulated touches only.*take the weights `skin`"):
+    with pytest.warns(Note, match="simulated contacts alone.*take the weights `skin`"):
         model.prepare(frames[0])
