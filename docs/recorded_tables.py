@@ -24,7 +24,7 @@ ROWS = {
     "slides as recorded": "pose/sheared",
     "**slides unsheared**": "pose/disentangled",
     "slides, by a PoseNet that learnt from labelled slides": "pose/sheared_learnt",
-    "unsheared less learnt directly": "difference/sheared_learnt",
+    "difference: unsheared - learnt directly": "difference/sheared_learnt",
 }
 TASK_ROWS = {
     "taps": "tap",
