@@ -204,10 +204,11 @@ def _check_pins(
     if check.followed >= MIN_FOLLOWED:
         return check
     negative = track(raws, True)
-    is_better = check.median < MIN_PINS <= negative.median
+    exposure = explain_exposure(to_grey(raws[len(raws) // 2]))
+    is_better = not exposure and check.median < MIN_PINS <= negative.median
     if negative.followed > check.followed or (negative.followed == check.followed and is_better):
         return negative
-    return replace(check, exposure=explain_exposure(to_grey(raws[len(raws) // 2])))
+    return replace(check, exposure=exposure)
 
 
 def _track_pins(

@@ -46,7 +46,8 @@ MAX_FRAMING_ERROR = 0.12  # of a binary frame's scale, below which it is not res
 DISC_RADIUS_RANGE = (0.15, 0.75)  # of the frame's shorter side
 MAX_DISC_ERROR = 0.05  # of the radius: usual distance of the rim from the circle
 PIN_RADIUS_RANGE = (0.1, 0.75)
-MAX_PIN_CIRCLE_ERROR = 0.065  # a hexagon has 0.057, a rectangle 0.07 or more
+MAX_PIN_CIRCLE_ERROR = 0.1
+MAX_RECTANGLE_ERROR = 0.04  # of the radius: mean distance of the outermost dots from its sides
 DOT_AREA_RANGE = (0.4, 2.5)  # of the usual dot
 MIN_DOT_PX = 3
 MIN_DOTS = 20
@@ -272,20 +273,25 @@ def _find_disc_rim(grey: np.ndarray) -> np.ndarray:
 
 
 def _find_pin_circle(white: np.ndarray) -> "_Circle | None":
-    """Fit a circle to the outermost of the white dots (H, W), or around them if none fits.
+    """Fit a circle to the outermost of the white dots (H, W), or around them if in a rectangle.
 
     None if it is not plausible.
     """
     dots = _find_outer_dots(white)
-    circle = _fit_circle(dots)
-    if _is_plausible(circle, white, PIN_RADIUS_RANGE, MAX_PIN_CIRCLE_ERROR):
-        return circle
+    circle = _enclose_rectangle(dots) or _fit_circle(dots)
+    return circle if _is_plausible(circle, white, PIN_RADIUS_RANGE, MAX_PIN_CIRCLE_ERROR) else None
+
+
+def _enclose_rectangle(dots: np.ndarray) -> "_Circle | None":
+    """Fit a circle around the corners of a rectangle; None if the dots (N, 2) are on none."""
     if not len(dots):
         return None
-    row, column = (dots.min(axis=0) + dots.max(axis=0)) / 2  # of a rectangle
-    radius = np.hypot(dots[:, 0] - row, dots[:, 1] - column).max()
-    is_sized = radius > PIN_RADIUS_RANGE[0] * min(white.shape)
-    return _Circle(row, column, radius, 0.0) if is_sized else None
+    low, high = dots.min(axis=0), dots.max(axis=0)
+    row, column = (low + high) / 2
+    radius = float(np.hypot(*(high - low)) / 2)
+    off = np.minimum(dots - low, high - dots).min(axis=1)  # from the nearest side
+    is_rectangle = off.mean() < MAX_RECTANGLE_ERROR * radius
+    return _Circle(row, column, radius, 0.0) if is_rectangle else None
 
 
 def _find_outer_dots(white: np.ndarray) -> np.ndarray:

@@ -272,6 +272,12 @@ def is_advised(change: Callable, command: str) -> Callable[[Place], None]:
     return check
 
 
+def asks_for_layout(place: Place) -> None:
+    """Dark pins are known by a layout file alone."""
+    diagnosis = check_recordings(save(place.folder / "frames", lambda image: 255 - image))
+    assert diagnosis.next.startswith("jaxunshear layout") and "dark on a light" in diagnosis.note
+
+
 def turn(image: np.ndarray) -> np.ndarray:
     return np.rot90(image).copy()
 
@@ -365,7 +371,7 @@ CASES = [
     Case("frames at an angle of 90 deg", "doctor", "a command", is_advised(turn, "pins")),
     Case("soft frames in usual light", "doctor", "a command", is_advised(scale(0.7), "pins")),
     Case("a binary frame", "explain_exposure", "nothing is wrong", explains_nothing),
-    Case("dark pins", "doctor", "invert the frames", says("invert", lambda image: 255 - image)),
+    Case("dark pins", "doctor", "a layout", asks_for_layout),
 ]
 
 

@@ -463,7 +463,7 @@ REFUSED = [
         "--paired.pairing simulated --paired.labelled 0.5",
         "simulated takes no recorded slide to learn from",
     ),
-    ("--paired.pairing simulated --unshear.input pins", "yours has 127"),
+    ("--paired.pairing simulated --unshear.input pins", "yours, tactip127, has 127"),
     ("--networks unet --unshear.input pins", "unet does not read pins"),
     ("--pins.direct_conv_channels 4", "changes none of the networks"),
     (

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from jaxunshear.cli import first_steps
 from jaxunshear.report.show import (
     PNG_SOFTWARE,
     ShownFrame,
@@ -78,6 +79,7 @@ def frames(tmp_path_factory):
 
 def test_another_sensor_is_refused_with_a_remedy(command, frames, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(first_steps, "DEFAULT_MODELS", first_steps.DEFAULT_MODELS[:1])
     answer = command("show", frames)
     assert answer.code == 2 and answer.err.count("\n") == 1
     assert "name a MODEL that learnt from it" in answer.err
