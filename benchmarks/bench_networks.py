@@ -24,6 +24,7 @@ from jaxunshear.apps.export.parts import ExportedModel
 from jaxunshear.apps.export.sensor_check import make_sensor_check
 from jaxunshear.config.networks import DISENTANGLED, POSENET, PoseNet, UnshearNet
 from jaxunshear.config.sensor import TACTIP_331, Camera, Preprocess
+from jaxunshear.config.targets import count_outputs
 from jaxunshear.config.training import Training
 from jaxunshear.config.types import raise_first_problem
 from jaxunshear.environment import FAST, PLAIN, keep_freed_memory
@@ -209,7 +210,7 @@ def _make_stream_sides(size: int, batch: int) -> Sides:
 
 
 def _init_stream_variables(net: UnshearNet, pose_net: PoseNet) -> dict[str, Any]:
-    outputs = posenet.count_outputs(TARGETS)
+    outputs = count_outputs(TARGETS)
     return {
         POSENET: init_variables(partial(posenet.init, pose_net, outputs)),
         DISENTANGLED: init_variables(partial(unshearnet.init, net)),
@@ -241,7 +242,7 @@ def _make_torch_stream_work(
 ) -> Work:
     torch, torch_networks = _import_torch_networks()
     unshear_twin = _make_torch_unshearnet(net).eval()
-    outputs = posenet.count_outputs(TARGETS)
+    outputs = count_outputs(TARGETS)
     pose_twin = torch_networks.use_channels_last(torch_networks.TorchPoseNet(pose_net, outputs))
     pose_twin = pose_twin.to(_get_torch_device()).eval()
 

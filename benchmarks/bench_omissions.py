@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.training_steps import init_variables, make_noise_images, make_timed_step
 from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import DISENTANGLED, ENTANGLED, POSENET, PoseNet, UnshearNet
-from jaxunshear.config.targets import make_range_targets
+from jaxunshear.config.targets import count_outputs, make_range_targets
 from jaxunshear.config.training import Training
 from jaxunshear.config.types import raise_first_problem
 from jaxunshear.environment import keep_freed_memory
@@ -161,7 +161,7 @@ def _make_evaluation_case(net: UnshearNet, variables: Variables) -> Case:
     values = {
         ENTANGLED: init_variables(partial(unshearnet.init, entangled), 1),
         DISENTANGLED: variables,
-        POSENET: init_variables(partial(posenet.init, pose, posenet.count_outputs(targets)), 2),
+        POSENET: init_variables(partial(posenet.init, pose, count_outputs(targets)), 2),
     }
     images = np.zeros((BATCH, net.size, net.size, 1), np.uint8)
 

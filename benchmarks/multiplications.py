@@ -2,8 +2,7 @@
 
 from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import PoseNet, UnshearNet
-from jaxunshear.config.targets import make_range_targets
-from jaxunshear.models import posenet
+from jaxunshear.config.targets import count_outputs, make_range_targets
 
 TARGETS = make_range_targets((), Ranges())
 
@@ -42,4 +41,4 @@ def count_posenet_multiplications(net: PoseNet) -> int:
     count += 9 * (second * rest[0] + rest[0] * rest[1]) * (side // 2) ** 2
     count += 9 * rest[1] * rest[2] * (side // 4) ** 2
     count += (side // 4) ** 2 * rest[2] * net.hidden
-    return count + net.hidden * posenet.count_outputs(TARGETS)
+    return count + net.hidden * count_outputs(TARGETS)

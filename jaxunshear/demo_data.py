@@ -1,11 +1,12 @@
-"""Write a small labelled recording of the simulator, in the layout in which recordings lie.
+"""Write a small labelled recording of the simulator, in the folders that recordings have.
 
 >>> write_demo_data(Path("demo"), contacts=300, seed=0)  # demo/331_pins/edge/tap/targets.csv, ...
 
-So that whoever has no recordings can try `doctor`, `show`, `fit` and the others.
+Users without recordings can try `doctor`, `show`, `fit` and the other commands on it.
 """
 
-import shutil
+import tempfile
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
@@ -29,7 +30,7 @@ from jaxunshear.config.sensor import (
     Sensor,
 )
 from jaxunshear.data.labels import MOVE_COLUMNS, POSE_COLUMNS
-from jaxunshear.errors import UserError
+from jaxunshear.errors import Note, UserError
 from jaxunshear.files import Json, format_csv, write_bytes, write_text
 from jaxunshear.output_checks import check_new_folder
 from jaxunshear.perception.drawing import encode_png
@@ -42,7 +43,7 @@ from jaxunshear.simulator.simulate import simulate
 
 CONTACTS = 300  # taps, and as many slides, of 331 pins
 MIN_CONTACTS = 30  # with fewer a split of `fit` may be empty
-FEWER = 5  # times fewer contacts of 127 pins, which no released weights know
+FEWER = 5  # times fewer contacts of 127 pins
 UNTOUCHED = 20  # frames
 CAMERA_FRAMES = 40
 STIMULUS = "edge"
@@ -91,15 +92,13 @@ def write_demo_data(folder: Path, contacts: int = CONTACTS, seed: int = 0) -> No
         raise UserError(f"--seed {seed}: use 0 to {MAX_SEED}")
     counts = contacts, max(MIN_CONTACTS, contacts // FEWER)
     folder = folder.resolve()
-    part = folder.with_name(f"{folder.name}.part")
-    shutil.rmtree(part, ignore_errors=True)
-    try:
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as place:
+        part = Path(place) / folder.name
         with Progress("simulate contacts", 2 * sum(counts), unit="contacts") as progress:
             for demo, count in zip(SENSORS, counts, strict=True):
                 _write_sensor(part / demo.name, demo, count, seed, progress)
         part.rename(folder)  # one that is empty is replaced
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
 
 
 def _write_sensor(
@@ -113,6 +112,9 @@ def _write_sensor(
     tips = np.concatenate([touched.pins, untouched])
     images = _render(demo, tips, seed, partial(binarise, Preprocess()))
     rows = np.flatnonzero(touched.converged)
+    if failed := len(touched.converged) - len(rows):
+        note = f"{demo.name}: {failed} contacts did not converge: they are left out"
+        warnings.warn(note, Note, stacklevel=2)
     taps, slides = rows[rows < count], rows[rows >= count]
     places = [(folder / STIMULUS / "tap", taps), (folder / STIMULUS / "shear", slides)]
     for place, selected in places:

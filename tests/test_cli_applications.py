@@ -205,7 +205,7 @@ def test_stream_of_a_folder(command, tmp_path, model):
     words = ("stream", folder, "--model", model, "--json", summary)
     refused = command(*words)
     assert refused.code == 1
-    assert "skipped 3: its pins are not those of the model's sensor" in refused.err
+    assert "skipped 3: its pins do not match the model's sensor" in refused.err
     assert not any("pose" in json.loads(line) for line in refused.out.splitlines())
     answer = command(*words, "--force")
     assert answer.code == 0, answer.err

@@ -18,6 +18,7 @@ from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.rules import validate
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.serialization import from_json, to_json
+from jaxunshear.config.targets import count_outputs
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json, write_json
 from jaxunshear.inference import infer
@@ -58,7 +59,7 @@ def card_of(held):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finished") / "small"
-    outputs = posenet.count_outputs(TARGETS)
+    outputs = count_outputs(TARGETS)
     for name, kind, init, net in (
         ("disentangled", "unshear", partial(unshearnet.init, NET), NET),
         ("posenet", "posenet", partial(posenet.init, POSENET, outputs), POSENET),

@@ -82,8 +82,11 @@ class SourceSettings(DataSettings):
             f"{what} needs a model of simulated touches: this one learnt from {self.contacts}"
         )
 
-    def list_helpers(self, spec: NetworkSpec, pins: bool) -> tuple[str, ...]:
-        """List the networks that a network over images or pins learns from, by its data."""
+    def list_helpers(self, spec: NetworkSpec, adds_rendered: bool) -> tuple[str, ...]:
+        """List the networks that a network learns from, by its data.
+
+        `adds_rendered`: networks that learn from taps also learn from rendered ones.
+        """
         return ()
 
     def select_for(self, spec: NetworkSpec, pose: object) -> DataSettings:
@@ -239,13 +242,13 @@ class Recorded(SourceSettings):
             problem = f"poses that are read give no partner for pairing {self.pairing}"
             yield "unlabelled", f"{problem}: use pairing rendered or nearest"
 
-    def list_helpers(self, spec: NetworkSpec, pins: bool) -> tuple[str, ...]:
+    def list_helpers(self, spec: NetworkSpec, adds_rendered: bool) -> tuple[str, ...]:
         if spec.role == "unshears":
             reads = (POSENET_SHEARED,) if self.unlabelled == "pseudo_label" else ()
             return reads + ((RENDERER,) if self.pairing in RENDERED_PAIRINGS else ())
         if spec.learns_from == "slides":
             return (RENDERER,) if self.direct_taps == "rendered" else ()
-        return (RENDERER,) if pins and spec.name != RENDERER else ()
+        return (RENDERER,) if adds_rendered and spec.name != RENDERER else ()
 
     def select_for(self, spec: NetworkSpec, pose: object) -> DataSettings:
         takes_taps_alone = spec.learns_from == "taps"

@@ -120,8 +120,8 @@ def _list_helpers(experiment: Experiment, spec: NetworkSpec) -> tuple[str, ...]:
     training = experiment.train_pins if pins else experiment.train
     teacher = (TEACHER,) if spec.role == "unshears" and uses_teacher(training) else ()
     # a renderer knows the pins of poses alone: it gives no further examples of other columns
-    is_rendered = pins and not list_column_names(experiment.targets)
-    return teacher + experiment.paired.list_helpers(spec, is_rendered)
+    adds_rendered = pins and not list_column_names(experiment.targets)
+    return teacher + experiment.paired.list_helpers(spec, adds_rendered)
 
 
 def _select_targets(experiment: Experiment, spec: NetworkSpec) -> tuple[str, ...]:

@@ -108,7 +108,7 @@ class Sensor:
 class MarkerSensor(Sensor):
     """A sensor of which a layout file alone is known: where markers rest in its images.
 
-    It has no millimetres, so that nothing of it can be simulated.
+    It has no millimetres, so it cannot be simulated.
     """
 
     layout: str = "file"

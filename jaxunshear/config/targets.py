@@ -73,6 +73,11 @@ class Target:
 Targets = tuple[Target, ...]
 
 
+def count_outputs(targets: Targets) -> int:
+    """Count the outputs K of all targets."""
+    return sum(target.outputs for target in targets)
+
+
 class TargetText(NamedTuple):
     """What `name[:kind[:weight]]` says."""
 

@@ -180,7 +180,7 @@ def _describe(reading: _Reading, places: _Places, name: str, recordings: Recordi
         )
     left_out = list(recordings.notes)
     left_out += _name_frames(reading, ~used, "other markers than the rest shows")
-    is_touched = used & _find_touched(places.px)
+    is_touched = used & _find_contact_frames(places.px)
     if np.sum(is_touched) > MIN_SEEN_SHARE * np.sum(used):
         left_out.append(
             f"markers move in {np.sum(is_touched)} of {frames} frames: places are means over "
@@ -199,7 +199,7 @@ def _describe(reading: _Reading, places: _Places, name: str, recordings: Recordi
     return FoundLayout(_make_file(reading, rest, name), frames, int(np.sum(used)), left_out)
 
 
-def _find_touched(px: np.ndarray) -> np.ndarray:
+def _find_contact_frames(px: np.ndarray) -> np.ndarray:
     """Find the frames (N,) in which some markers have moved, against the others."""
     motion = px - np.nanmedian(px, axis=0)
     spacing = measure_spacing(np.nanmedian(px, axis=0))

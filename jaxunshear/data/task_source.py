@@ -19,7 +19,13 @@ from jaxunshear.config.data import Recorded, RecordedTasks
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import NetworkConfig
 from jaxunshear.config.networks import POSENET, POSENET_SHEARED, select_networks
-from jaxunshear.config.targets import Target, Targets, make_move_targets, name_pose_field
+from jaxunshear.config.targets import (
+    Target,
+    Targets,
+    count_outputs,
+    make_move_targets,
+    name_pose_field,
+)
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_source import RecordedSource, read_pin_layout
 from jaxunshear.data.sources import DataSource, Examples, Helpers, PinLayout
@@ -136,15 +142,11 @@ def _join(parts: Sequence[Batch], field: str) -> np.ndarray:
 def join_targets(targets: Sequence[Targets]) -> Targets:
     """Join the targets of all tasks; those of a task weigh as much as if they were alone."""
     joined: list[Target] = []
-    counts = list(map(_count_outputs, targets))
+    counts = list(map(count_outputs, targets))
     for task, own in enumerate(targets):
         share, field = sum(counts) / counts[task], name_pose_field(task)
         joined += [replace(each, field=field, weight=share * each.weight) for each in own]
     return tuple(joined)
-
-
-def _count_outputs(targets: Targets) -> int:
-    return sum(target.outputs for target in targets)
 
 
 def average_layouts(frames: Sequence[Json], shifts: Sequence[FrameShift]) -> PinLayout:

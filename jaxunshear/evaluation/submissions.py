@@ -116,7 +116,7 @@ def _strip_ending(name: str) -> str:
     return str(PurePosixPath(normalise_text(name)).with_suffix(""))
 
 
-def _count_unmatched(
+def _count_missing(
     matched: np.ndarray, contacts: RecordedContacts, left_out: Counter[str]
 ) -> np.ndarray:
     """Count names of no slide, and slides without a result; return which names are of slides."""
@@ -129,7 +129,7 @@ def _count_unmatched(
 def _score_images(path: Path, contacts: RecordedContacts, left_out: Counter[str]) -> _Scores:
     submitted = read_recordings(path, Preprocess())
     matched = match_slides(submitted.names, contacts)
-    known = np.flatnonzero(_count_unmatched(matched, contacts, left_out))
+    known = np.flatnonzero(_count_missing(matched, contacts, left_out))
     taps = _find_taps(contacts, matched[known])
     left_out[NO_TAP] += int(np.sum(taps < 0))
     chosen, taps = known[taps >= 0], taps[taps >= 0]
@@ -224,7 +224,7 @@ def _score_poses(
     labels = name_labels(contacts.pose, contacts.move, contacts.others)
     names, columns = _read_columns(path, labels)
     matched = match_slides(names, contacts)
-    known = _count_unmatched(matched, contacts, left_out)
+    known = _count_missing(matched, contacts, left_out)
     true = np.stack([labels[name][matched] for name in columns])
     has_label = np.isfinite(true).all(axis=0)
     has_value = np.isfinite(np.stack(list(columns.values()))).all(axis=0)

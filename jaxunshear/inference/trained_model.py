@@ -78,7 +78,7 @@ PREFERRED_POSENETS = (POSENET, POSENET_SHEARED)
 class TrainedModel:
     """Networks for binary images (B, S, S), uint8 of {0, 255} or bool, from `prepare`.
 
-    Results are NaN for images that are rejected: their pins are not those of the model's sensor
+    Results are NaN for images that are rejected: their pins do not match the model's sensor
     or, for pin networks, cannot be identified. Networks are loaded when they are first used, and
     kept: load the model again after a training. Raises UserError if one is missing, damaged or not
     finished.

@@ -12,9 +12,19 @@ from jaxtyping import Float, Float32, UInt8
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
-from jaxunshear.angles import wrap_degrees
+from jaxunshear.angles import Values, wrap_degrees
 from jaxunshear.config.targets import is_class
 from jaxunshear.perception.pin_detection import detect_pin_centres
+
+
+def compute_error(name: str, difference: Values) -> Values:
+    """Compute the absolute error of a target from differences (B,); of a wrong class it is 1.
+
+    Angles go the short way round. The error of NaN is NaN.
+    """
+    if is_class(name):
+        return (difference != 0) + 0 * difference
+    return abs(wrap_degrees(difference) if name.endswith("_deg") else difference)
 
 
 def compute_pose_errors(
@@ -34,12 +44,7 @@ def compute_pose_errors(
         a, b = np.asarray(predicted[name], np.float64), np.asarray(true[name], np.float64)
         if a.shape != b.shape or a.ndim != 1:
             raise ValueError(f"{name}: shapes {a.shape} and {b.shape} are not one (B,)")
-        difference = b - a
-        if name.endswith("_deg"):
-            difference = wrap_degrees(difference)
-        if is_class(name):
-            difference = np.where(np.isnan(difference), np.nan, difference != 0)
-        errors[name] = np.abs(difference).astype(np.float32)
+        errors[name] = compute_error(name, b - a).astype(np.float32)
     return errors
 
 

@@ -86,11 +86,6 @@ def _make_network_for(net: networks.PoseNet, variables: Variables) -> nn.Module:
     return _make_network(net, len(variables["params"]["Dense_1"]["bias"]))
 
 
-def count_outputs(targets: Targets) -> int:
-    """Count the outputs K of all targets."""
-    return sum(target.outputs for target in targets)
-
-
 def list_output_weights(targets: Targets) -> tuple[float, ...]:
     """List the weight of each of the K outputs in the loss."""
     return tuple(target.weight for target in targets for _ in range(target.outputs))

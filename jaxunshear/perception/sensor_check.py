@@ -28,7 +28,7 @@ MIN_EVEN_SHARE = 0.7  # of the expected share: with fewer even pins there is no 
 MIN_PLAUSIBILITY = 0.5  # of an image of the sensor; also the share of such images in its folders
 NO_MINIMUM = 0.0  # in the place of MIN_PLAUSIBILITY: whatever the image shows
 UNIDENTIFIED_REASON = "its pins cannot be identified for sure"
-FOREIGN_REASON = "its pins are not those of the model's sensor"
+FOREIGN_REASON = "its pins do not match the model's sensor"
 
 # Usual differences of an image of the right sensor from the expected; the units of the weights.
 ALLOWED_DIFFERENCE = {"pins": 0.12, "spacing": 0.08, "rim": 0.08, "middle": 0.06, "regular": 0.1}

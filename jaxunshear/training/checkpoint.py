@@ -25,11 +25,10 @@ import orbax.checkpoint as ocp
 
 from jaxunshear import files
 from jaxunshear.config.serialization import OLD_FILES, add_version, remove_version
-from jaxunshear.config.targets import Targets, from_json
+from jaxunshear.config.targets import Targets, count_outputs, from_json
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
 from jaxunshear.models.pin_networks import move_frame
-from jaxunshear.models.posenet import count_outputs
 from jaxunshear.models.registry import find_misfit, find_settings_class
 from jaxunshear.models.weights import Net, Variables, list_leaves
 

@@ -14,13 +14,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxunshear.angles import wrap_degrees
 from jaxunshear.config.losses import LOSSES, SUPERVISION, LossSpec, Role, get_loss
 from jaxunshear.config.networks import PinRenderer
-from jaxunshear.config.targets import Targets, is_class, read_true_values
+from jaxunshear.config.targets import Targets, count_outputs, read_true_values
 from jaxunshear.config.training import Training, uses_teacher
 from jaxunshear.config.types import raise_first_problem
 from jaxunshear.errors import UserError
+from jaxunshear.metrics.errors import compute_error
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import PINS, Batch
 from jaxunshear.models.registry import InitFacts, NetworkFunctions, get_functions
@@ -211,7 +211,7 @@ def _make_task(
     """Make the task of a network that `run` runs, without a key in validation."""
     functions, specs = get_functions(net), _list_losses(training, role)
     raise_first_problem(net, functions.kind)
-    facts = facts._replace(outputs=posenet.count_outputs(targets))
+    facts = facts._replace(outputs=count_outputs(targets))
 
     def compute_terms(variables: Variables, batch: Batch, key: Array | None) -> tuple[Terms, Tree]:
         inputs, statistics = run(variables, batch, key)
@@ -262,12 +262,6 @@ def _list_losses(training: Training, role: Role) -> list[LossSpec]:
 def compute_pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> Terms:
     """Compute absolute errors in mm and deg by target, each (B,)."""
     poses, true_poses = posenet.unscale_outputs(outputs, targets), read_true_values(targets, batch)
-    errors: Terms = {}
-    for name in poses:
-        error = jnp.asarray(true_poses[name] - poses[name])
-        if name.endswith("_deg"):
-            error = wrap_degrees(error)
-        if is_class(name):
-            error = jnp.where(jnp.isnan(error), jnp.nan, error != 0)
-        errors[name] = jnp.abs(error)
-    return errors
+    return {
+        name: compute_error(name, jnp.asarray(true_poses[name] - poses[name])) for name in poses
+    }

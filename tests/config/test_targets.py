@@ -14,6 +14,7 @@ from jaxunshear.config.targets import (
     RECORDED_FIELDS,
     SIMULATED_FIELDS,
     Target,
+    count_outputs,
     from_json,
     get_unit,
     list_label_fields,
@@ -86,7 +87,7 @@ def test_a_simulated_set_has_the_papers_two_and_the_edge():
     assert [target.weight for target in USUAL] == [1, 1, 4, 1]
     assert [target.is_circular for target in USUAL] == [False, False, False, True]
     assert [target.half_range for target in USUAL[:3]] == [5, 45, pytest.approx(5 * 2**0.5)]
-    assert posenet.count_outputs(USUAL) == 5
+    assert count_outputs(USUAL) == 5
     assert posenet.list_output_weights(USUAL) == (1, 1, 4, 1, 1)
     assert list_label_fields(USUAL) == ("pose", "edge")
     assert list_label_fields(USUAL[:2]) == ("pose",)
@@ -223,8 +224,8 @@ def test_labels_come_back_from_their_outputs(count, jit):
         return outputs, posenet.unscale_outputs(outputs, targets)
 
     outputs, back = (jax.jit(there_and_back) if jit else there_and_back)(batch)
-    assert outputs.shape == (50, posenet.count_outputs(targets))
-    assert len(posenet.list_output_weights(targets)) == posenet.count_outputs(targets)
+    assert outputs.shape == (50, count_outputs(targets))
+    assert len(posenet.list_output_weights(targets)) == count_outputs(targets)
     assert 0 <= float(outputs.min()) < float(outputs.max()) <= 1
     true = read_true_values(targets, batch)
     assert tuple(true) == list_target_names(targets) and set(back) == set(true)
@@ -296,7 +297,7 @@ def test_json_of_another_form_is_refused(stored):
 def test_classes_have_an_output_each_and_errors_of_0_or_1():
     poses, others = np.zeros((6, 6)), {"object_class": np.array([0, 1, 2, 2, np.nan, 1])}
     (target,) = targets = make_label_targets(("object_class",), poses, others=others)
-    assert (target.classes, posenet.count_outputs(targets)) == (3, 3)
+    assert (target.classes, count_outputs(targets)) == (3, 3)
     labels = {"others": np.array([[0], [2], [np.nan]], np.float32)}
     outputs = posenet.scale_poses(labels, targets)
     np.testing.assert_array_equal(outputs[:2], [[1, 0, 0], [0, 0, 1]])

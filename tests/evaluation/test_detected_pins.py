@@ -11,7 +11,7 @@ from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PinPoseNet, PinUnshear
 from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.config.targets import make_range_targets
+from jaxunshear.config.targets import count_outputs, make_range_targets
 from jaxunshear.data.sources import PinLayout
 from jaxunshear.evaluation.network_outputs import make_run
 from jaxunshear.evaluation.simulated_evaluation import (
@@ -20,7 +20,7 @@ from jaxunshear.evaluation.simulated_evaluation import (
     build_simulated_results,
     detect_pairs,
 )
-from jaxunshear.models import pin_networks, posenet
+from jaxunshear.models import pin_networks
 from jaxunshear.models.modality import PINS
 from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
@@ -78,7 +78,7 @@ def test_pairs_that_are_followed_are_scored_and_the_others_counted():
 def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_one():
     shape = {"hidden": 8, "layers": 1}
     nets = {"disentangled": PinUnshear(**shape), "posenet": PinPoseNet(**shape)}
-    counts = {"disentangled": 0, "posenet": posenet.count_outputs(TARGETS)}
+    counts = {"disentangled": 0, "posenet": count_outputs(TARGETS)}
     variables = {
         name: pin_networks.init(net, LATTICE.rest, 2.0, jax.random.key(1), outputs=counts[name])
         for name, net in nets.items()

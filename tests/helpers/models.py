@@ -7,6 +7,7 @@ import jax
 
 from jaxunshear.config import networks
 from jaxunshear.config.serialization import to_json
+from jaxunshear.config.targets import count_outputs
 from jaxunshear.config.targets import to_json as targets_to_json
 from jaxunshear.files import write_json
 from jaxunshear.models import pin_networks, posenet, unshearnet
@@ -23,7 +24,7 @@ KINDS = {
 
 def init(net, seed, targets=(), rest=None, spread=1.0):
     """Draw variables; networks over pins need their rest positions (P, 2) px."""
-    outputs = posenet.count_outputs(targets) if targets else 0
+    outputs = count_outputs(targets) if targets else 0
     if rest is not None:
         fresh = partial(pin_networks.init, net, rest, spread, outputs=outputs)
     elif isinstance(net, networks.PoseNet):

@@ -9,7 +9,7 @@ import pytest
 
 from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import PoseNet
-from jaxunshear.config.targets import make_range_targets
+from jaxunshear.config.targets import count_outputs, make_range_targets
 from jaxunshear.errors import UserError
 from jaxunshear.models import posenet
 from jaxunshear.training.trainer import get_compile_options
@@ -60,7 +60,7 @@ def test_a_range_of_zero_has_no_output_and_leaves_the_others_finite(lateral_mm, 
 )
 def test_outputs_lie_between_zero_and_one_and_do_not_depend_on_the_batch(net):
     init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=get_compile_options())
-    variables = init(net, posenet.count_outputs(TARGETS), jax.random.key(0))
+    variables = init(net, count_outputs(TARGETS), jax.random.key(0))
     images = jax.random.uniform(jax.random.key(1), (3, net.size, net.size, 1))
     predict = jax.jit(lambda v, x: posenet.predict(net, v, x))
     outputs = predict(variables, images)

@@ -4,6 +4,7 @@ Their answers are brought into the labels' frame by taps alone, then scored.
 """
 
 import csv
+import dataclasses
 import json
 
 import made
@@ -194,6 +195,18 @@ def weights(tmp_path_factory):
         variables[name] = change_weights(fresh, shake)
     folder = tmp_path_factory.mktemp("weights")
     return write_run(folder, experiment, nets, variables, TARGETS)
+
+
+def test_images_are_judged_by_the_camera_s_own_frame(weights, tmp_path):
+    """The zoom of the simulated camera does not matter."""
+    folder = made.write(tmp_path / "edge", *made.contacts(24, True, 0))
+    model, other = load_model(weights, like=folder), load_model(weights, like=folder)
+    paired = other.experiment.paired
+    camera = dataclasses.replace(paired.camera, mm_across=2 * paired.camera.mm_across)
+    paired = dataclasses.replace(paired, camera=camera)
+    other.experiment = dataclasses.replace(other.experiment, paired=paired)
+    assert other.lattice.rest.std() < 0.6 * model.lattice.rest.std()
+    assert other.appearance == model.appearance
 
 
 def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_path):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.networks import UNet
+from jaxunshear.config.targets import count_outputs
 from jaxunshear.errors import UserError
 from jaxunshear.models import distances, posenet
 from jaxunshear.models.registry import unshear
@@ -26,7 +27,7 @@ WEIGHTS = (1.0, 1.0, 4.0, 1.0, 1.0)
 
 @pytest.fixture(scope="module")
 def teacher():
-    outputs = posenet.count_outputs(small.TARGETS)
+    outputs = count_outputs(small.TARGETS)
     fresh = jax.jit(lambda key: posenet.init(small.POSENET, outputs, key))(jax.random.key(9))
     # fresh ones answer 0.5 whatever they see
     wide = jax.tree.map(lambda leaf: 20 * leaf if leaf.ndim > 1 else leaf, fresh["params"])

@@ -57,7 +57,7 @@ NET = UnshearNet(size=SIZE, widths=(4, 6, 8), pose_channels=5, shear_channels=3)
 POSENET = PoseNet(size=SIZE, widths=(4, 5, 6, 7, 8), hidden=9)
 PINS = {"hidden": 16, "layers": 2, "pose_code": 5, "shear_code": 2}
 TARGETS = targets.make_range_targets((), Ranges())
-OUTPUTS = posenet.count_outputs(TARGETS)
+OUTPUTS = targets.count_outputs(TARGETS)
 PREPROCESS = Preprocess(size=SIZE)
 SENSOR = dataclasses.replace(
     TACTIP_331, name="few", rings=2, pin_spacing_mm=5 * TACTIP_331.pin_spacing_mm
