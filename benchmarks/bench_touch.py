@@ -1,8 +1,9 @@
 """Learns what `jaxunshear/perception/touch.py` needs from simulated contacts, and scores it.
 
 Slides, the taps at their poses, and the dome untouched: with noise, wear, and a view that has
-shifted. What the simulator knows is the truth: the share of the contact's nodes that slip, and by
-how much a slide has dragged the skin of the contact on from where its tap has it.
+shifted. Slip is learnt from more slides, which are shorter: long ones slide everywhere. What the
+simulator knows is the truth: the share of the contact's nodes that slip, and by how much a slide
+has dragged the skin of the contact on from where its tap has it.
 """
 
 import json
@@ -49,10 +50,13 @@ MOST_MOVE_MM, MOST_TWIST_DEG = 5.0, 20.0
 FRICTION = (0.2, 0.7)
 NUISANCE = Nuisance(drift_px=2.0, drift_brightness=0.15)
 TEST_SEED = 1_000_000  # added to that of contacts that weights are learnt from
+SHORT_SEED = 2_000_000  # added to that of shorter slides, from which only slip is learnt
+SHORT_SLIDES = {"skin": 300, "tiny": 600, "demo": 300}  # most of the sensor that is the default
+SLIP_UNITS, SLIP_FITS = 16, 3  # of a network, and networks whose mean is taken
 HELD_OUT = 4  # every so many poses set the interval alone
 COVERAGE = 0.95
 NOISE = 0  # column of the scalars, the only one that may speak against a contact
-PENALTY = {"contact": 1e-4, "slip": 1e-3, "shear": 1e-3}
+PENALTY = {"contact": 1e-4, "slip": 2e-4, "shear": 1e-3}
 RECORDED_IMAGES, RECORDED_LENGTHS_MM = 500, (0, 1, 2, 3, 4, 8)
 COLUMNS = (
     *("name", "images", "followed", "auc", "refused", "refused_untouched", "slip_rms", "slip_sd"),
@@ -86,12 +90,13 @@ def bench_touch(
     """
     names, rows = list(SIZES), []
     with Progress("bench touch", len(names) * (2 if weights else 1), unit="sensors") as progress:
-        learnt = []
-        for name in names if weights else ():
+        learnt, short = [], []
+        for number, name in enumerate(names if weights else ()):
             learnt += simulate_touches(name, POSES, seed)
+            short += simulate_short_slides(name, SHORT_SLIDES[name], SHORT_SEED + seed + number)
             progress.advance()
         if weights:
-            write_text(weights, format_weights(learn_weights(learnt)))
+            write_text(weights, format_weights(learn_weights(learnt, short)))
         model = touches.load_weights(weights or touches.WEIGHTS)
         for name in names:
             tested = simulate_touches(name, TEST_POSES, TEST_SEED + seed)
@@ -104,34 +109,68 @@ def bench_touch(
 
 def simulate_touches(name: str, count: int, seed: int) -> list[Touches]:
     """Simulate a slide, its tap and an untouched dome for `count` poses, at each size of image."""
-    sensor, paired = get_config_sensor(name), PAIRED[name]
-    rng = np.random.default_rng(seed)
+    sensor, rng = get_config_sensor(name), np.random.default_rng(seed)
     scenes = _sample_scenes(rng, count)
     contacts, skins = simulate.follow(sensor, STIMULI, make_paths(scenes))
     tips = np.concatenate([contacts.pins, np.repeat(compute_pin_tips(sensor)[None], count, 0)])
-    number, age = np.arange(3 * count), rng.random(3 * count)
+    age = rng.random(3 * count)
     nodes = contacts.stuck_nodes + contacts.slipping_nodes
     is_over = compute_edge_labels(STIMULI, scenes)[:, 0] <= 0
     nothing = np.zeros(count)
     truth = {
-        "pose": number % count,
+        "pose": np.arange(3 * count) % count,
         "depth_mm": np.concatenate([np.where(is_over, scenes.pose[:, 3], 0), nothing]),
         "nodes": np.concatenate([nodes, nothing]),
         "slip": np.concatenate([contacts.slipping_nodes / np.maximum(nodes, 1), nothing]),
         "drag": np.pad(_measure_drags(sensor, skins), ((0, 2 * count), (0, 0))),
     }
     solved = np.concatenate([contacts.converged, nothing == 0])
+    return _render_touches(name, tips, age, seed, truth, solved)
+
+
+def simulate_short_slides(name: str, count: int, seed: int) -> list[Touches]:
+    """Simulate `count` slides, most of them short, at each size of image.
+
+    What they drag is not known: there are no taps at their poses.
+    """
+    sensor, rng = get_config_sensor(name), np.random.default_rng(seed)
+    scenes = _sample_scenes(rng, count).take(np.arange(count))
+    scenes = replace(scenes, move=scenes.move * rng.random(count)[:, None])
+    contacts = simulate.simulate(sensor, STIMULI, scenes)
+    nodes = contacts.stuck_nodes + contacts.slipping_nodes
+    is_over = compute_edge_labels(STIMULI, scenes)[:, 0] <= 0
+    truth = {
+        "pose": np.arange(count),
+        "depth_mm": np.where(is_over, scenes.pose[:, 3], 0),
+        "nodes": nodes,
+        "slip": contacts.slipping_nodes / np.maximum(nodes, 1),
+        "drag": np.full((count, 3), np.nan),
+    }
+    return _render_touches(name, contacts.pins, rng.random(count), seed, truth, contacts.converged)
+
+
+def _render_touches(
+    name: str,
+    tips: np.ndarray,
+    age: np.ndarray,
+    seed: int,
+    truth: dict[str, np.ndarray],
+    solved: np.ndarray,
+) -> list[Touches]:
+    """Render pins, track them, and describe their motion, at each size of image."""
+    sensor, paired, count = get_config_sensor(name), PAIRED[name], len(tips)
     made = []
     for size in SIZES[name]:
         preprocess = replace(paired.preprocess, size=size)
         settings = replace(paired, preprocess=preprocess, nuisance=NUISANCE, seed=seed)
+        number = np.arange(count)
         images, _ = render_images(settings, sensor, tips.astype(np.float32), number, age)
         lattice = compute_rest_lattice(sensor, settings.camera, preprocess)
         motion, followed = track_images(lattice, images, independent=True)
         gauge, used = touches.make_touch_gauge(lattice, sensor), followed & solved
         field = touches.measure_field(gauge, lattice.rest + motion[used])
         features = touches.describe_field(gauge, field)
-        truth["followed"] = np.full(3 * count, followed[solved].mean())
+        truth["followed"] = np.full(count, followed[solved].mean())
         made.append(Touches(features, **{name: each[used] for name, each in truth.items()}))
     return made
 
@@ -168,19 +207,22 @@ def _measure_drags(sensor: Sensor, skins: Skins) -> np.ndarray:
     return drags
 
 
-def learn_weights(sets: Sequence[Touches]) -> touches.TouchWeights:
-    """Learn weights; one of HELD_OUT poses sets the interval alone."""
+def learn_weights(sets: Sequence[Touches], short: Sequence[Touches]) -> touches.TouchWeights:
+    """Learn weights, and slip from `short` too; one of HELD_OUT poses sets the interval alone."""
     every: Touches = jax.tree.map(lambda *parts: np.concatenate(parts), *sets)
     is_learnt, is_touching = every.pose % HELD_OUT > 0, every.nodes > 0
     learnt, touching = every.take(is_learnt), every.take(is_learnt & is_touching)
-    columns = len(touches.ZONES)  # noise, and the size of motion by rings
-    scalars = learnt.features.scalars[:, :columns]
-    touched = (learnt.nodes > 0).astype(float)
     features, drag = touching.features, touching.drag
     sides = np.concatenate([features.vectors[..., 0], features.vectors[..., 1]])
+    sliding = [touching, *(each.take(each.nodes > 0) for each in short)]
+    slip_units, slip = _fit_slip(
+        np.concatenate([each.features.slide for each in sliding]),
+        np.concatenate([each.slip for each in sliding]),
+    )
     weights = touches.TouchWeights(
-        contact=_fit_logistic(scalars, touched, PENALTY["contact"], True),
-        slip=_fit_logistic(features.scalars, touching.slip, PENALTY["slip"], False),
+        contact=_fit_contact(learnt.features.sizes, (learnt.nodes > 0).astype(float)),
+        slip_units=slip_units,
+        slip=slip,
         shear=_fit_ridge(sides, np.concatenate([drag[:, 0], drag[:, 1]])),
         turn=_fit_ridge(features.turns, drag[:, 2]),
         half_width=np.ones(2),
@@ -218,29 +260,63 @@ def _fit_ridge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return weights
 
 
-def _fit_logistic(x: np.ndarray, y: np.ndarray, penalty: float, is_contact: bool) -> np.ndarray:
-    """Fit weights, and a last one that is added, to shares y in [0, 1], by cross entropy.
-
-    Of a contact NOISE has no positive weight, and all else no negative one: more motion never
-    speaks against a contact.
-    """
+def _standardise(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return standardised columns with a last one of ones, and what undoes it to weights."""
     middle, spread = x.mean(axis=0), x.std(axis=0)
-    scaled = np.column_stack([(x - middle) / spread, np.ones(len(x))])
+    undo = np.diag(np.append(1 / spread, 1))
+    undo[-1, :-1] = -middle / spread
+    return np.column_stack([(x - middle) / spread, np.ones(len(x))]), undo
+
+
+def _fit_contact(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Fit weights, and a last one that is added, to y in {0, 1}, by cross entropy.
+
+    NOISE has no positive weight, and all else no negative one: more motion never speaks against a
+    contact.
+    """
+    scaled, undo = _standardise(x)
 
     def compute_loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
-        logit = scaled @ weights
-        loss = np.mean(np.logaddexp(0, logit) - y * logit) + penalty * np.sum(weights[:-1] ** 2)
+        logit, size = scaled @ weights, PENALTY["contact"] * weights[:-1]
+        loss = np.mean(np.logaddexp(0, logit) - y * logit) + np.sum(size * weights[:-1])
         slope = scaled.T @ (expit(logit) - y) / len(y)
-        slope[:-1] += 2 * penalty * weights[:-1]
-        return float(loss), slope
+        return float(loss), slope + 2 * np.append(size, 0)
 
-    bounds: list[tuple[int | None, int | None]] = [(None, None)] * (x.shape[1] + 1)
-    if is_contact:
-        bounds[:-1] = [(0, None)] * x.shape[1]
-        bounds[NOISE] = (None, 0)
-    found = minimize(compute_loss, np.zeros(x.shape[1] + 1), jac=True, bounds=bounds).x
-    weights = found[:-1] / spread
-    return np.append(weights, found[-1] - weights @ middle)
+    bounds: list[tuple[int | None, int | None]] = [(0, None)] * x.shape[1] + [(None, None)]
+    bounds[NOISE] = (None, 0)
+    return undo @ minimize(compute_loss, np.zeros(len(undo)), jac=True, bounds=bounds).x
+
+
+def _fit_slip(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fit a network of one hidden layer to shares y in [0, 1], by cross entropy.
+
+    Returns the weights of its units, and of its answer. It is the mean, before the answer's
+    sigmoid, of SLIP_FITS networks that start from other random weights.
+    """
+    scaled, undo = _standardise(x)
+    shape = (len(undo), SLIP_UNITS)
+
+    def compute_loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
+        hidden, out = np.reshape(weights[: -SLIP_UNITS - 1], shape), weights[-SLIP_UNITS - 1 :]
+        units = np.tanh(scaled @ hidden)
+        logit, size = units @ out[:-1] + out[-1], PENALTY["slip"] * weights[:-1]
+        loss = np.mean(np.logaddexp(0, logit) - y * logit) + np.sum(size * weights[:-1])
+        error = (expit(logit) - y) / len(y)
+        back = scaled.T @ (error[:, None] * out[:-1] * (1 - units**2))
+        slope = np.concatenate([back.ravel(), units.T @ error, [error.sum()]])
+        return float(loss), slope + 2 * np.append(size, 0)
+
+    hidden, out, added = [], [], 0.0
+    for seed in range(SLIP_FITS):
+        rng = np.random.default_rng(seed)
+        start = rng.normal(0, len(undo) ** -0.5, shape)
+        answer = rng.normal(0, SLIP_UNITS**-0.5, SLIP_UNITS)
+        first = np.concatenate([start.ravel(), answer, [0]])
+        found = minimize(compute_loss, first, jac=True, method="L-BFGS-B").x
+        hidden.append(undo @ np.reshape(found[: -SLIP_UNITS - 1], shape))
+        out.append(found[-SLIP_UNITS - 1 : -1] / SLIP_FITS)
+        added += found[-1] / SLIP_FITS
+    return np.concatenate(hidden, axis=1), np.append(np.concatenate(out), added)
 
 
 def score_touches(contacts: Touches, weights: touches.TouchWeights) -> Json:

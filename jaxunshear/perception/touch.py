@@ -7,7 +7,8 @@
 Motions are in mm, less that of the rim, which contacts hardly move: a camera that shifts moves all
 pins alike. A plane is fitted to the motions around each pin; its slope gives divergence and curl.
 Means over groups of rings, which are the same however the sensor is turned, go into regressions
-that were learnt from simulated contacts (`touch.json`, by `python -m benchmarks touch`).
+that were learnt from simulated contacts (`touch.json`, by `python -m benchmarks touch`). Slip shows
+around the middle of the contact, wherever that lies: a small network takes means over rings there.
 """
 
 from functools import cache
@@ -40,6 +41,9 @@ MIN_RIM_SHARE = 0.8  # of the rim's pins that must be so
 NO_CONTACT_REASON = "no contact"
 ZONES = (0.0, 0.3, 0.55, 0.8, 1.01)  # of the rim's radius: limits between groups of rings
 CONTACT_STRAIN = 0.5  # of the largest: from here on a pin belongs to the contact
+MIDDLE_STRAIN = 0.4  # of the largest: the strain beyond it weighs pins to find the middle
+CONTACT_RINGS_MM = (0.0, 2.0, 4.0, 7.0, 11.0)  # limits between rings around that middle
+NEAR_MIDDLE_MM = 0.3  # least distance that a direction from the middle is divided by
 SHEAR_FLOOR = (0.2, 1.0)  # mm and deg: an error grows with the shear from here on
 LEAST = 1e-4  # mm, or mm per mm, that is added before a logarithm
 
@@ -70,7 +74,8 @@ class MotionField(NamedTuple):
 class TouchFeatures(NamedTuple):
     """What B fields share with their turned copies, by group of rings."""
 
-    scalars: np.ndarray  # (B, K) logarithms of what does not change, and of the stiffness
+    sizes: np.ndarray  # (B, 1 + Z) logarithms of the noise's and the motion's
+    slide: np.ndarray  # (B, S) around the middle of the contact, along its drag
     vectors: np.ndarray  # (B, Z, 2) mm, which turn with the sensor
     turns: np.ndarray  # (B, T), which change their sign in a mirror
     divergence: np.ndarray  # (B,) mean over the contact, mm per mm
@@ -78,10 +83,11 @@ class TouchFeatures(NamedTuple):
 
 
 class TouchWeights(NamedTuple):
-    """What was learnt; the last of `contact` and `slip` is added."""
+    """What was learnt; the last row of `contact`, `slip_units` and `slip` is added."""
 
-    contact: np.ndarray  # (C + 1,) of the first C of the scalars
-    slip: np.ndarray  # (K + 1,)
+    contact: np.ndarray  # (Z + 2,) of the features `sizes`
+    slip_units: np.ndarray  # (S + 1, U) of the features `slide`, before the tanh of each unit
+    slip: np.ndarray  # (U + 1,) of the units
     shear: np.ndarray  # (Z,)
     turn: np.ndarray  # (T,)
     half_width: np.ndarray  # (2,) of the shear's mm and deg, over its size and SHEAR_FLOOR
@@ -188,25 +194,72 @@ def describe_field(gauge: TouchGauge, field: MotionField) -> TouchFeatures:
     motion, outward = field.motion_mm, gauge.place_mm
     outward = outward / np.maximum(np.linalg.norm(outward, axis=-1, keepdims=True), LEAST)
     turned = average(motion[..., 1] * outward[:, 0] - motion[..., 0] * outward[:, 1])
-    squares = average(np.square(motion).sum(-1))
+    size = np.sqrt(average(np.square(motion).sum(-1)))
     mean = np.stack([average(motion[..., axis]) for axis in (0, 1)], axis=-1)
-    rigid = np.square(mean).sum(-1) + turned**2
-    scalars = [
-        field.noise_mm[:, None],
-        np.sqrt(squares),
-        np.linalg.norm(mean, axis=-1),
-        np.sqrt(np.maximum(squares - rigid, 0)),  # of what no rigid motion of the rings explains
-        np.sqrt(average(np.square(field.divergence))),
-        np.sqrt(average(np.square(field.curl))),
-        np.full((len(motion), 1), gauge.stiffness),
-    ]
     touched = field.strain >= CONTACT_STRAIN * field.strain.max(axis=1, keepdims=True)
     return TouchFeatures(
-        np.log(np.concatenate(scalars, axis=1) + LEAST),
+        np.log(np.column_stack([field.noise_mm, size]) + LEAST),
+        _describe_slide(gauge, field),
         mean,
         np.concatenate([average(field.curl), turned], axis=1),
         *(np.mean(each, axis=1, where=touched) for each in (field.divergence, field.curl)),
     )
+
+
+def _describe_slide(gauge: TouchGauge, field: MotionField) -> Float[np.ndarray, "B S"]:
+    """Describe fields by means over rings around the contact's middle, along its drag.
+
+    A contact that sticks in its middle moves there as if it were rigid, and departs from that in a
+    ring. Motions are divided by the largest one, strains by the largest strain. No feature depends
+    on how the sensor is turned or mirrored.
+    """
+    strain, motion = field.strain, field.motion_mm
+    largest = strain.max(axis=1)
+    share = np.maximum(strain - MIDDLE_STRAIN * largest[:, None], 0)
+    share = share / np.maximum(share.sum(axis=1, keepdims=True), LEAST)
+    drag = np.einsum("bp,bpc->bc", share, motion)
+    drag_mm = np.linalg.norm(drag, axis=-1)
+    along = drag / np.maximum(drag_mm, LEAST)[:, None]
+    axes = np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=-1)])  # and across
+    offset = gauge.place_mm - (share @ gauge.place_mm)[:, None]
+    ahead, aside = np.einsum("bpc,abc->abp", offset, axes)
+    forward, sideways = np.einsum("bpc,abc->abp", motion, axes)
+    distance = np.hypot(ahead, aside)
+    reach = np.maximum(distance, NEAR_MIDDLE_MM)
+    limits = np.array(CONTACT_RINGS_MM)
+    middle, width = (limits[1:] + limits[:-1]) / 2, np.diff(limits) / 1.5
+    ring = np.exp(-np.square((distance[:, None] - middle[:, None]) / width[:, None]))
+    ring = ring / np.maximum(ring.sum(axis=-1, keepdims=True), LEAST)
+
+    def average(values: np.ndarray) -> np.ndarray:
+        mean: np.ndarray = np.einsum("brp,bp->br", ring, values)
+        return mean
+
+    motion_mm = np.linalg.norm(motion, axis=-1).max(axis=1)
+    second = (ahead**2 - aside**2) / reach**2
+    sizes = [
+        np.full(len(motion), gauge.stiffness),
+        field.noise_mm,
+        drag_mm,
+        motion_mm,
+        np.sqrt(np.sum(share * distance**2, axis=1)),  # mm from the middle to the strained pins
+        largest,
+        strain.mean(axis=1) / np.maximum(largest, LEAST),  # without a limit, where it would jump
+    ]
+    dragged = average(forward)
+    motions = [
+        dragged,
+        average((forward * ahead + sideways * aside) / reach),
+        np.abs(average((sideways * ahead - forward * aside) / reach)),
+        average(forward * second) - dragged * average(second),
+    ]
+    strains = [  # before the middle less behind it; to its left less to its right
+        average(field.divergence * ahead) / limits[1:],
+        average(field.curl * aside) / limits[1:],
+    ]
+    rings = [each / np.maximum(motion_mm, LEAST)[:, None] for each in motions]
+    rings += [each / np.maximum(largest, LEAST)[:, None] for each in strains]
+    return np.concatenate([np.log(np.stack(sizes, axis=-1) + LEAST), *rings], axis=1)
 
 
 @cache
@@ -219,18 +272,14 @@ def load_weights(path: Path = WEIGHTS) -> TouchWeights:
 def predict_touch(weights: TouchWeights, features: TouchFeatures) -> Touch:
     """Predict what B images show."""
 
-    def weigh(learnt: np.ndarray) -> np.ndarray:
-        used = features.scalars[:, : len(learnt) - 1]
-        probability: np.ndarray = expit(used @ learnt[:-1] + learnt[-1])
-        return probability
-
-    contact = weigh(weights.contact)
+    contact = expit(features.sizes @ weights.contact[:-1] + weights.contact[-1])
+    units = np.tanh(features.slide @ weights.slip_units[:-1] + weights.slip_units[-1])
     touched = np.where(contact < MIN_CONTACT, np.nan, 1.0)
     shear_mm = np.einsum("bzc,z->cb", features.vectors, weights.shear) * touched
     turn_deg = features.turns @ weights.turn * touched
     return Touch(
         contact=contact,
-        slip=weigh(weights.slip) * touched,
+        slip=expit(units @ weights.slip[:-1] + weights.slip[-1]) * touched,
         shear_x_mm=shear_mm[0],
         shear_y_mm=shear_mm[1],
         shear_deg=turn_deg,

@@ -10,22 +10,26 @@ ZONES = len(touch.ZONES) - 1
 
 
 def make_touches(count=400):
-    """Contacts whose shear is linear in the features, and whose motion stands out of noise."""
+    """Contacts whose shear is linear in the features, and whose motion stands out of noise.
+
+    Half of the contact slips where two features of the slide have one sign, a tenth where not.
+    """
     rng = np.random.default_rng(0)
     nodes = np.where(np.arange(count) % 3, 20, 0)
-    scalars = rng.normal(-3, 0.1, (count, 6 * ZONES + 2))
-    scalars[:, 1 : 1 + ZONES] += np.where(nodes > 0, rng.uniform(1, 3, count), 0)[:, None]
+    sizes = rng.normal(-3, 0.1, (count, 1 + ZONES))
+    sizes[:, 1:] += np.where(nodes > 0, rng.uniform(1, 3, count), 0)[:, None]
     vectors, turns = rng.normal(0, 0.3, (count, ZONES, 2)), rng.normal(0, 1, (count, 2 * ZONES))
     drag = np.column_stack([vectors[:, 0] + 2 * vectors[:, 1], turns[:, 0] - turns[:, 3]])
-    slip = 1 / (1 + np.exp(-(scalars[:, 3] + 2)))
-    features = touch.TouchFeatures(scalars, vectors, turns, scalars[:, 0], scalars[:, 0])
+    slide = rng.choice([-1, 1], (count, 3)) + rng.normal(0, 0.1, (count, 3))
+    slip = np.where(slide[:, 0] * slide[:, 1] > 0, 0.5, 0.1)
+    features = touch.TouchFeatures(sizes, slide, vectors, turns, sizes[:, 0], sizes[:, 0])
     depth = np.where(nodes > 0, 1.0, 0.0)
     return bench_touch.Touches(features, np.arange(count), depth, nodes, slip, drag, np.ones(count))
 
 
 @pytest.fixture(scope="module")
 def learnt():
-    return bench_touch.learn_weights([make_touches()])
+    return bench_touch.learn_weights([make_touches(200)], [make_touches(400)])
 
 
 def test_shear_is_learnt_with_its_interval(learnt):
@@ -43,6 +47,16 @@ def test_scores_are_those_of_contacts_that_are_known(learnt):
     assert (scores["auc"], scores["refused"], scores["refused_untouched"]) == (1, 0, 1)
     assert scores["slip_rms"] < 0.05 and scores["shear_rms_mm"] < 0.02
     assert scores["inside_mm"] == pytest.approx(0.95, abs=0.04)
+
+
+def test_slip_needs_no_drag_and_leaves_the_rest_as_it_is(learnt):
+    undragged = make_touches(400)._replace(drag=np.full((400, 3), np.nan))
+    without = bench_touch.learn_weights([make_touches(200)], [undragged])
+    for name in learnt._fields:
+        np.testing.assert_array_equal(getattr(without, name), getattr(learnt, name))
+    other = bench_touch.learn_weights([make_touches(200)], [])
+    assert not np.array_equal(other.slip, learnt.slip)
+    np.testing.assert_array_equal(other.contact, learnt.contact)
 
 
 def test_the_file_of_weights_is_loaded_as_it_was_learnt(learnt, tmp_path):

@@ -66,6 +66,33 @@ def test_a_shift_of_the_view_changes_nothing():
     np.testing.assert_allclose(np.array(before), np.array(after), atol=1e-9)
 
 
+def test_a_mirrored_contact_slips_as_much():
+    def mirror(pins):
+        return LATTICE.centre + (pins - LATTICE.centre) * [-1, 1]
+
+    lattice = LATTICE._replace(rest=mirror(LATTICE.rest))  # with the same neighbours
+    gauge = touch.make_touch_gauge(lattice, TACTIP_331_FITTED)
+    before = touch.describe_field(GAUGE, touch.measure_field(GAUGE, press()))
+    after = touch.describe_field(gauge, touch.measure_field(gauge, mirror(press())))
+    np.testing.assert_allclose(after.slide, before.slide, atol=1e-9)
+    np.testing.assert_allclose(after.curl, -before.curl, atol=1e-9)
+
+
+def test_a_slide_is_described_around_the_contact_s_middle():
+    """A bump by 0.8 mm lies beside the middle of the dome: each ring has more than the next."""
+    offset = LATTICE.rest - LATTICE.centre - [6, 3]
+    share = np.exp(-np.square(offset).sum(-1) / (2 * 12.0**2))[:, None]
+    bump_px = 0.8 / GAUGE.mm_per_px * share * [[0.6, 0.8]]
+    features = touch.describe_field(
+        GAUGE, touch.measure_field(GAUGE, (LATTICE.rest + bump_px)[None])
+    )
+    rings = features.slide[0, 7:].reshape(6, -1)  # after seven logarithms
+    dragged, radial, turned = rings[:3]  # of the largest motion
+    assert 1 > dragged[0] > dragged[1] > dragged[2] > dragged[3] > 0
+    assert np.abs(radial[0]) < 0.05 and turned[0] < 0.05
+    assert np.exp(features.slide[0, 3]) == pytest.approx(0.8, rel=0.25)  # smoothed
+
+
 @pytest.mark.parametrize("degrees", [30, 60, 137])
 def test_a_turned_camera_turns_the_shear_alone(degrees):
     turn, centre = rotation_2d(np.radians(degrees)), LATTICE.centre
