@@ -197,7 +197,7 @@ class TouchReader(NamedTuple):
 
     def measure(self, images: np.ndarray, pins: np.ndarray | None) -> Touch:
         """Measure images (B, S, S) of {0, 255}, whose pins (B, P, 2) px may be known."""
-        return measure_touch(self.gauge, self._track(images) if pins is None else pins)
+        return measure_touch(self.gauge, self.track(images) if pins is None else pins)
 
     def measure_rows(self, images: np.ndarray, rows: np.ndarray, touch: Touch) -> Touch:
         """Return `touch` of B images with `rows`, (B,) bool, measured: those of `images`."""
@@ -224,10 +224,11 @@ class TouchReader(NamedTuple):
 
     def learn_rest_positions(self, images: np.ndarray, pins: np.ndarray | None) -> "TouchReader":
         """Return the reader that measures from the mean of these images, of an untouched dome."""
-        pins = self._track(images) if pins is None else pins
+        pins = self.track(images) if pins is None else pins
         return self._replace(gauge=learn_gauge(self.gauge, pins))
 
-    def _track(self, images: np.ndarray) -> np.ndarray:
+    def track(self, images: np.ndarray) -> np.ndarray:
+        """Find the pins (B, P, 2) px of images (B, S, S), NaN for one that is not seen."""
         rest: np.ndarray = self.lattice.rest
         return rest + track_images(self.lattice, images, independent=True).motion
 
