@@ -49,6 +49,7 @@ class Touch:
         if reading.reason:
             line = {"confidence": 0.0, "error": reading.reason}
         elif "pose" in line:
+            line["confidence"] = round(line["confidence"] * reading.familiarity, 4)
             pose = self._camera.turn_pose(line["pose"])
             line["pose"] = {name: round(value, 4) for name, value in pose.items()}
         return line | ({"touch": touch} if touch else {})

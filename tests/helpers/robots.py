@@ -32,7 +32,7 @@ from touch_pins import CAMERA
 frames = np.load("frames.npy")
 readings = [CAMERA.read(frame) for frame in frames]
 learnt = CAMERA.learn_rest_positions(frames[-2:-1]).read(frames[0])
-inputs, pins, touch, reasons = zip(*readings)
+inputs, pins, touch, reasons, _ = zip(*readings)
 found = dict(inputs=np.concatenate(inputs), pins=np.stack(pins), reasons=reasons)
 np.savez("read.npz", **found, learnt=list(learnt.touch.values()))
 sys.argv[1:] = ["touch.onnx", "frames.npy"]

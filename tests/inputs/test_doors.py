@@ -211,6 +211,22 @@ def predict_foreign(name):
     return check
 
 
+def scale_sensor(model, scale):
+    """Draw a touch as a camera shows it that is nearer by `scale`."""
+    pins = press(model.rest)
+    return draw_pins(pins.mean(axis=0) + scale * (pins - pins.mean(axis=0)))
+
+
+def lower_confidence(given):
+    images = np.stack([scale_sensor(given.standard, scale) for scale in (1.0, 0.95, 1.05)])
+    found = given.standard.predict(images)
+    assert found.rejection.tolist() == ["", "", ""]
+    assert (found.confidence[1:] < 0.75 * found.confidence[0]).all()
+    camera = describe_camera_images(given.standard, None)
+    familiarity = np.array([camera.read_image(image).familiarity for image in images])
+    assert familiarity[0] > 0.95 and (familiarity[1:] < 0.75).all()
+
+
 @cache
 def open_exported(name):
     parts = load_exported_model(load_model(name))
@@ -465,6 +481,7 @@ IMAGES = [
         Case(f"pins: {name}", "export", UNSURE, export_pins(SPOILT_PINS[name]))
         for name in SPOILT_PINS
     ),
+    Case("a camera 5 % nearer, or further", "predict", "less confidence", lower_confidence),
     Case("one of three is noise", "stream", "exit code 0, a count", stream_mixed(1, 0)),
     Case("half are foreign", "stream", "exit code 1, a count", stream_mixed(2, 1)),
     Case("half are foreign", "pose", "exit code 1, empty cells", pose_mixed),

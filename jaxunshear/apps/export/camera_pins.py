@@ -62,6 +62,7 @@ class CameraReading(NamedTuple):
     pins: np.ndarray  # (P, 2) px of the prepared image, NaN for one that is not seen
     touch: dict[str, float]  # contact, slip and shear, by output
     reason: str  # why there is no pose; empty where there is one
+    familiarity: float = 0.0  # in [0, 1]: less if pins are spaced otherwise than the model's
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,9 @@ class CameraPins:
         judged = judge_batch(images, identified, self.appearance, force=False)
         touch = measure_touch(self.gauge, pins)
         reason = str(add_no_contact(judged.rejection, touch, force=False)[0])
-        return CameraReading(nothing if reason else values, pins[0], touch.describe(0), reason)
+        inputs = nothing if reason else values
+        familiarity = float(judged.familiarity[0])
+        return CameraReading(inputs, pins[0], touch.describe(0), reason, familiarity)
 
     def learn_rest_positions(self, frames: Sequence[np.ndarray]) -> "CameraPins":
         """Return the camera that measures touch from these frames, of an untouched dome.
@@ -166,7 +169,8 @@ class CameraImages:
         touch = self.reader.measure(images, pins)
         is_touched = not may_be_untouched(self.reader.gauge, judged.pins[0])
         reason = str(add_no_contact(judged.rejection, touch, force=is_touched)[0])
-        return CameraReading(images * (not reason), pins[0], touch.describe(0), reason)
+        inputs, familiarity = images * (not reason), float(judged.familiarity[0])
+        return CameraReading(inputs, pins[0], touch.describe(0), reason, familiarity)
 
     def learn_rest_positions(self, frames: Sequence[np.ndarray]) -> "CameraImages":
         """Return the camera that measures touch from these frames, of an untouched dome.

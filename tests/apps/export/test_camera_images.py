@@ -57,6 +57,7 @@ def test_lines_have_the_model_s_poses_and_touch(shared):
     poses, touch = shared.streamed.poses["unsheared"], shared.streamed.touch
     for row, line in enumerate(shared.lines):
         assert ("pose" in line) == (line["confidence"] > 0) == (row < CONTACTS)
+        assert line["confidence"] == pytest.approx(shared.streamed.confidence[row], abs=0.03)
         for name, value in line.get("pose", {}).items():
             error = value - poses[name][row]
             error = (error + 180) % 360 - 180 if name.endswith("_deg") else error

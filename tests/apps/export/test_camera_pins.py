@@ -125,7 +125,7 @@ def test_a_file_of_somebody_else_stays(command, tmp_path):
 def test_the_module_of_an_earlier_camera_goes(command, tmp_path):
     file = tmp_path / "touch.onnx"
     path = camera_pins.get_module_path(file)
-    path.write_text(camera_pins.HEADING.format(name=file.name, version="0"))
+    path.write_text(camera_pins.HEADING.format(name=file.name, version="0", inputs="{}"))
     answer = command("export", "skin", "--out", file)
     assert answer.code == 0 and not path.exists()
     assert "name contacts of a camera by --like" in answer.out
