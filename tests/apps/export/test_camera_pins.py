@@ -1,6 +1,7 @@
 """The module beside a file over pins gives what the model gives, without JAX and this package."""
 
 import ast
+import dataclasses
 import json
 import sys
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ from PIL import Image
 from jaxunshear import load_model
 from jaxunshear.apps.export import camera_pins, package_source
 from jaxunshear.apps.export.package_source import collect_source
+from jaxunshear.apps.export.parts import load_exported_model
 from jaxunshear.cli import main
 from jaxunshear.perception.preprocess import View
 from jaxunshear.perception.touch import Touch
@@ -35,6 +37,7 @@ def exported(tmp_path_factory):
         lines=[json.loads(line) for line in lines],
         imports=ast.parse((folder / "touch_pins.py").read_text()).body,
         contacts=contacts,
+        frames=frames,
         model=model,
         images=images,
         predictions=model.predict(images),
@@ -73,6 +76,16 @@ def test_an_untouched_frame_is_learnt_as_the_model_learns_it(exported):
     expected = list(model.touch(exported.images[:1]).describe(0).values())
     np.testing.assert_allclose(exported.read["learnt"], expected, atol=1e-4)
     assert abs(exported.lines[0]["touch"]["contact"] - expected[0]) > 0
+
+
+def test_a_worn_dome_is_learnt_too(exported):
+    rest = load_exported_model(exported.model).rest
+    camera = camera_pins.describe_camera_pins(exported.model, rest)
+    worn = dataclasses.replace(camera, frame=camera.frame._replace(lost=(5,)))
+    learnt = worn.learn_rest_positions(exported.frames[-2:-1])
+    assert np.isfinite(learnt.untouched).all()
+    reading = learnt.read(exported.frames[0])
+    assert np.isnan(reading.pins[5]).all() and reading.touch["contact"] > 0.5
 
 
 def test_a_robot_s_program_gives_the_model_s_poses(exported):
