@@ -2,7 +2,7 @@
 
 python examples/robot.py touch.onnx frames.npy      # (N, ...) of what the model takes: frames, prepared images, or pins
 
-If touch.onnx takes pins, `export` has written touch_pins.py beside it. That module finds the pins in frames, and needs scipy, scikit-image and threadpoolctl.
+With touch_pins.py beside it, which `export` writes, it takes frames, and a frame without contact has no pose. That module needs scipy, scikit-image and threadpoolctl.
 """
 
 import importlib
@@ -30,23 +30,26 @@ class Touch:
         self._run(np.zeros(self._given.shape[1:], self._dtype))  # the first call is slow
         self._camera = None
         module = Path(file).with_name(f"{Path(file).stem}_pins.py")
-        if self._given.name == "pins" and module.exists():
+        if module.exists():
             sys.path.append(str(module.parent))
             self._camera = importlib.import_module(module.stem).CAMERA
 
     def answer(self, frame: np.ndarray) -> dict[str, float | str | dict[str, float]]:
         """Of one frame, as in a line of `jaxunshear stream`: confidence, and the pose, mm and deg by name, or why there is none.
 
-        Where pins are found here: "touch", too.
+        With the module beside the file: "touch", too.
         """
+        name = self._given.name
         if self._camera is None:
             return self._run(frame)
-        reading = self._camera.read(frame)
-        line = self._run(reading.inputs[0])
+        is_prepared = name == "image" and frame.shape == tuple(self._given.shape[1:])
+        reading = self._camera.read_image(frame) if is_prepared else self._camera.read(frame)
+        line = self._run(frame if name == "frame" else reading.inputs[0])
         touch = {name: round(value, 4) for name, value in reading.touch.items()}
         if reading.reason:
-            line["error"] = reading.reason
+            line = {"confidence": 0.0, "error": reading.reason}
         elif "pose" in line:
+            line["confidence"] = round(line["confidence"] * reading.familiarity, 4)
             pose = self._camera.turn_pose(line["pose"])
             line["pose"] = {name: round(value, 4) for name, value in pose.items()}
         return line | ({"touch": touch} if touch else {})

@@ -42,9 +42,10 @@ from jaxunshear.evaluation.recorded_results import (
 from jaxunshear.evaluation.result_tables import finish_results
 from jaxunshear.evaluation.score import TARGET_KIND
 from jaxunshear.files import read_object
-from jaxunshear.inference.readers import judge_batch
+from jaxunshear.inference.readers import add_no_contact, judge_batch, make_touch_reader
 from jaxunshear.models.modality import PINS, Modality, get_modality
 from jaxunshear.perception.sensor_check import measure_sensor_appearance
+from jaxunshear.perception.touch import find_no_contact, measure_touch
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results
 from jaxunshear.training.checkpoint import check_training, read_targets
@@ -125,7 +126,9 @@ def score_recordings(
     targets = locate_targets(read_targets(run_dir / experiment.networks[-1]), stored.columns)
     unseen = dataclasses.replace(experiment, paired=settings)
     appearance = measure_sensor_appearance(frame.rest, frame.size)
-    test = _choose_test(unseen, stored, targets, run_dir)._replace(appearance=appearance)
+    touch = make_touch_reader(frame, experiment.sensor)
+    test = _choose_test(unseen, stored, targets, run_dir)
+    test = test._replace(appearance=appearance, touch=touch)
     scorer = _load_scorer(unseen, run_dir, stored, targets)
     scores = _score_contacts(scorer, get_modality(unseen), test)
     results = build_recorded_results(unseen, stored, targets, scores, test)
@@ -201,8 +204,8 @@ def _score_contacts(
     """Score the slides and the taps of a split.
 
     Networks over pins are scored on contacts whose pins were identified, networks over images, on
-    other recordings, on contacts that show the model's sensor. Raises UserError if no slide and no
-    tap is left that has a label.
+    other recordings, on contacts that show the model's sensor. Images of other recordings that show
+    no contact are left out, too. Raises UserError if no slide and no tap is left that has a label.
     """
     slides = taps = None
     if test.slides is not None:
@@ -247,14 +250,19 @@ def _select_understood(
         fields = tuple(dict.fromkeys(sources[name] for name in PINS.pair))
         stored = reader.take(split, rows, fields)
         identified = [np.isfinite(pins).any(axis=(1, 2)) for pins in stored.values()]
-        return rows[np.all(identified, axis=0)]
-    if test.appearance is None or not len(rows):
+        understood = np.all(identified, axis=0)
+        if test.touch is not None:
+            touch = measure_touch(test.touch.gauge, stored[sources[PINS.sheared]])
+            understood = understood & ~find_no_contact(touch)
+        return rows[understood]
+    if test.appearance is None or test.touch is None or not len(rows):
         return rows
     field, accepted = sources[modality.sheared], []
     for start in range(0, len(rows), BATCH):
         images = reader.take(split, rows[start : start + BATCH], (field,))[field][..., 0]
         judged = judge_batch(images, np.ones(len(images), bool), test.appearance, force=False)
-        accepted.append(judged.rejection == "")
+        touch, _ = test.touch.measure_some(images, None, judged, force=False)
+        accepted.append(add_no_contact(judged.rejection, touch, force=False) == "")
     return rows[np.concatenate(accepted)]
 
 

@@ -21,6 +21,7 @@ from jaxunshear.evaluation.result_tables import (
     tabulate_by_size,
 )
 from jaxunshear.evaluation.score import choose_main_kind
+from jaxunshear.inference.readers import TouchReader
 from jaxunshear.metrics.errors import measure_pin_errors
 from jaxunshear.models.modality import PINS, Modality, get_modality
 from jaxunshear.perception.sensor_check import SensorAppearance
@@ -54,8 +55,9 @@ class RecordedTest(NamedTuple):
     taps: Reader | None
     paired: bool
     data: TestData
-    # of the model's sensor, which images of other recordings must show
+    # of the model's sensor, which images of other recordings must show, touched
     appearance: SensorAppearance | None = None
+    touch: TouchReader | None = None
 
 
 class RecordedScores(NamedTuple):

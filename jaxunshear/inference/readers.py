@@ -76,8 +76,9 @@ class Predictions(NamedTuple):
     poses: Poses
     pins: dict[str, np.ndarray]  # by kind, (B, P, 2) px, of pin networks alone
     rejection: np.ndarray  # (B,) of text: why an image is rejected; empty if it is not
-    # (B,) in [0, 1]: how likely the image is one of the model's sensor, times
-    # `compute_confidence` of the unsheared image; 0 if it is rejected
+    # (B,) in [0, 1]: how likely the image is one of the model's sensor, times how near the spacing
+    # of its pins is to the model's, times `compute_confidence` of the unsheared image; 0 if it is
+    # rejected
     confidence: np.ndarray
     measure_touch: Callable[[], Touch]  # once; of networks over images it tracks the pins
 
@@ -197,7 +198,7 @@ class TouchReader(NamedTuple):
 
     def measure(self, images: np.ndarray, pins: np.ndarray | None) -> Touch:
         """Measure images (B, S, S) of {0, 255}, whose pins (B, P, 2) px may be known."""
-        return measure_touch(self.gauge, self._track(images) if pins is None else pins)
+        return measure_touch(self.gauge, self.track(images) if pins is None else pins)
 
     def measure_rows(self, images: np.ndarray, rows: np.ndarray, touch: Touch) -> Touch:
         """Return `touch` of B images with `rows`, (B,) bool, measured: those of `images`."""
@@ -224,10 +225,11 @@ class TouchReader(NamedTuple):
 
     def learn_rest_positions(self, images: np.ndarray, pins: np.ndarray | None) -> "TouchReader":
         """Return the reader that measures from the mean of these images, of an untouched dome."""
-        pins = self._track(images) if pins is None else pins
+        pins = self.track(images) if pins is None else pins
         return self._replace(gauge=learn_gauge(self.gauge, pins))
 
-    def _track(self, images: np.ndarray) -> np.ndarray:
+    def track(self, images: np.ndarray) -> np.ndarray:
+        """Find the pins (B, P, 2) px of images (B, S, S), NaN for one that is not seen."""
         rest: np.ndarray = self.lattice.rest
         return rest + track_images(self.lattice, images, independent=True).motion
 
@@ -288,6 +290,7 @@ class Judgement(NamedTuple):
 
     rejection: np.ndarray  # (B,) of text: why an image is rejected; empty if it is not
     plausibility: np.ndarray  # (B,)
+    familiarity: np.ndarray  # (B,)
     pins: tuple[np.ndarray, ...]  # (N, 2) px each, without identities
 
 
@@ -296,12 +299,13 @@ def judge_batch(
 ) -> Judgement:
     """Judge whether images are of the expected sensor, with their pins identified."""
     minimum = NO_MINIMUM if force else MIN_PLAUSIBILITY
-    plausibility, pins = zip(*(judge_image(image, expected) for image in images), strict=True)
+    judged = [judge_image(image, expected) for image in images]
+    plausibility, familiarity, pins = zip(*judged, strict=True)
     rejection = [
         explain_rejection(*each, minimum)
         for each in zip(identified.tolist(), plausibility, strict=True)
     ]
-    return Judgement(np.array(rejection), np.array(plausibility), pins)
+    return Judgement(np.array(rejection), np.array(plausibility), np.array(familiarity), pins)
 
 
 def add_no_contact(reasons: np.ndarray, touch: Touch, force: bool) -> np.ndarray:

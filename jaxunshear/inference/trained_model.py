@@ -319,7 +319,8 @@ class TrainedModel:
             accepted = (reasons == "").reshape(-1, *[1] * (value.ndim - 1))
             return np.where(accepted, value, np.nan)
 
-        confidence = judged.plausibility * compute_confidences(outputs.unsheared) * (reasons == "")
+        likeness = judged.plausibility * judged.familiarity
+        confidence = likeness * compute_confidences(outputs.unsheared) * (reasons == "")
         unsheared, poses, pins = jax.tree.map(keep_accepted_rows, outputs)
         return PredictedBatch(unsheared, poses, pins, reasons, confidence, touch, measured)
 

@@ -10,6 +10,7 @@ None of them changes when the sensor is turned.
 
 import math
 from dataclasses import astuple, dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -39,6 +40,12 @@ ALLOWED_DIFFERENCE = {"pins": 0.12, "spacing": 0.08, "rim": 0.08, "middle": 0.06
 LOGISTIC_BIAS = 5.5
 LOGISTIC_WEIGHTS = {"pins": 1.33, "spacing": 0.49, "rim": 1.43, "middle": 1.31, "regular": 0.25}
 
+# Contacts hardly change the spacing of 331 pins: its standard deviation is 0.4 % in simulated
+# images, and 0.3 to 2.1 % in recorded ones, whose means are up to 1.6 % from that of the resting
+# pins. Of 127 pins it is 2.6 %. At 5 % the errors of `standard` are 3 to 5 times as large.
+USUAL_SPACING_DIFFERENCE = 0.55  # over the root of the number of pins
+HALVING_SPACING_DIFFERENCE = 0.02  # beyond the usual one: halves the confidence
+
 
 @dataclass(frozen=True)
 class SensorAppearance:
@@ -50,6 +57,14 @@ class SensorAppearance:
     column: float = 0.0  # of the rim's centre
     row: float = 0.0
     regular: float = 0.0  # share of the pins that stand evenly
+
+
+class ImageJudgement(NamedTuple):
+    """What an image is judged by."""
+
+    plausibility: float  # in [0, 1], how likely it is one of the expected sensor
+    familiarity: float  # in [0, 1], less if pins are spaced otherwise: by it errors grow
+    pins: np.ndarray  # (N, 2) px
 
 
 @dataclass(frozen=True)
@@ -98,13 +113,22 @@ def invert_image(image: np.ndarray) -> np.ndarray:
 
 def compute_plausibility(image: np.ndarray, expected: SensorAppearance) -> float:
     """Return how likely a binary image (S, S) uint8 is one of this sensor's, in [0, 1]."""
-    return judge_image(image, expected)[0]
+    return judge_image(image, expected).plausibility
 
 
-def judge_image(image: np.ndarray, expected: SensorAppearance) -> tuple[float, np.ndarray]:
-    """Return the plausibility of a binary image, and the pins (N, 2) px that it was judged by."""
+def judge_image(image: np.ndarray, expected: SensorAppearance) -> ImageJudgement:
+    """Judge a binary image (S, S) uint8 by its pins."""
     appearance, pins = _measure_image(image)
-    return _score(appearance, expected), pins
+    familiarity = _compute_familiarity(appearance, expected)
+    return ImageJudgement(_score(appearance, expected), familiarity, pins)
+
+
+def _compute_familiarity(appearance: SensorAppearance, expected: SensorAppearance) -> float:
+    if not appearance.spacing:
+        return 0.0
+    difference = abs(math.log(appearance.spacing / expected.spacing))
+    excess = max(difference - USUAL_SPACING_DIFFERENCE / math.sqrt(expected.pins), 0.0)
+    return 1 / (1 + (excess / HALVING_SPACING_DIFFERENCE) ** 2)
 
 
 def _score(appearance: SensorAppearance, expected: SensorAppearance) -> float:

@@ -16,6 +16,7 @@ from PIL import Image
 from jaxunshear import load_model
 from jaxunshear.api import Predictions, find_pins
 from jaxunshear.apps.explore.explorer import make_explorer
+from jaxunshear.apps.export.camera_pins import describe_camera_images
 from jaxunshear.apps.export.onnx_file import build_onnx
 from jaxunshear.apps.export.parts import load_exported_model
 from jaxunshear.apps.robot.source_frame import SourceFrame
@@ -29,7 +30,7 @@ from jaxunshear.evaluation.recorded_results import RecordedTest
 from jaxunshear.metrics.images import ms_ssim, mse, ssim
 from jaxunshear.models import modality
 from jaxunshear.perception.sensor_check import FOREIGN_REASON, invert_image
-from jaxunshear.perception.touch import Touch
+from jaxunshear.perception.touch import NO_CONTACT_REASON, Touch
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 from jaxunshear.simulator.scene import make_scenes
 from jaxunshear.simulator.simulate import simulate
@@ -210,6 +211,22 @@ def predict_foreign(name):
     return check
 
 
+def scale_sensor(model, scale):
+    """Draw a touch as a camera shows it that is nearer by `scale`."""
+    pins = press(model.rest)
+    return draw_pins(pins.mean(axis=0) + scale * (pins - pins.mean(axis=0)))
+
+
+def lower_confidence(given):
+    images = np.stack([scale_sensor(given.standard, scale) for scale in (1.0, 0.95, 1.05)])
+    found = given.standard.predict(images)
+    assert found.rejection.tolist() == ["", "", ""]
+    assert (found.confidence[1:] < 0.75 * found.confidence[0]).all()
+    camera = describe_camera_images(given.standard, None)
+    familiarity = np.array([camera.read_image(image).familiarity for image in images])
+    assert familiarity[0] > 0.95 and (familiarity[1:] < 0.75).all()
+
+
 @cache
 def open_exported(name):
     parts = load_exported_model(load_model(name))
@@ -252,6 +269,18 @@ def export_contacts(given):
     np.testing.assert_allclose(confidence, expected.confidence, atol=0.03)
     poses = np.stack(list(expected.poses["unsheared"].values()), axis=1)
     np.testing.assert_allclose(pose, poses, atol=0.01)
+
+
+def export_no_contact(given):
+    """The module beside a file over images finds that there is no contact, as `predict` does."""
+    camera = describe_camera_images(given.standard, None)
+    touched, untouched = draw_pins(press(given.standard.rest)), draw_pins(given.standard.rest)
+    assert given.standard.predict(untouched[None]).rejection[0] == NO_CONTACT_REASON
+    reading = camera.read_image(untouched)
+    assert reading.reason == NO_CONTACT_REASON and not reading.inputs.any()
+    assert reading.touch["contact"] < 0.5
+    reading = camera.read_image(touched)
+    assert not reading.reason and (reading.inputs[0] == touched).all()
 
 
 def export_pins(change):
@@ -356,14 +385,28 @@ def explore_foreign(name, words):
 
 
 def evaluate_others(given):
-    """Noise among other recordings of a run is not scored; of its own all are."""
-    sensor, foreign = draw_pictures()
-    reader = Reader(lambda split: {"image": np.stack([sensor, foreign["noise"], sensor])}, SIZE)
+    """Noise and no contact among other recordings are not scored; of a run's own all are."""
+    (sensor, foreign), model = draw_pictures(), given.standard
+    images = np.stack([sensor, foreign["noise"], sensor, draw_pins(model.rest)])
+    check_left_out(model, modality.IMAGES, {"image": images}, [0, 2])
+
+
+def evaluate_other_pins(given):
+    rest = given.standard.rest
+    pins = np.stack([press(rest), np.full_like(rest, np.nan), press(rest), rest])
+    own = check_left_out(given.standard, modality.PINS, {"pins": pins}, [0, 2])
+    assert own == [0, 2, 3]
+
+
+def check_left_out(model, kind, contacts, expected):
+    """Assert which other contacts are scored; return which of a run's own are."""
+    reader = Reader(lambda split: contacts, SIZE)
     own = RecordedTest(None, reader, False, "same session")
-    others = own._replace(data="other recordings", appearance=given.standard.appearance)
-    select = partial(_select_understood, modality.IMAGES, reader=reader, split="test", paired=None)
-    assert select(test=others).tolist() == [0, 2]
-    assert select(test=own).tolist() == [0, 1, 2]
+    others = own._replace(data="other recordings", appearance=model.appearance)
+    others = others._replace(touch=model.touch_reader)
+    select = partial(_select_understood, kind, reader=reader, split="test", paired=None)
+    assert select(test=others).tolist() == expected
+    return select(test=own).tolist()
 
 
 def prepare_as_stream(given):
@@ -431,12 +474,14 @@ FOREIGN = (
 )
 IMAGES = [
     Case("contacts", "export", "those of `predict`", export_contacts),
+    Case("no contact", "export", "a reason; the image is black", export_no_contact),
     *(Case(name, "predict", UNSURE, predict_foreign(name)) for name in FOREIGN),
     *(Case(name, "export", UNSURE, export_foreign(name)) for name in (*FOREIGN, "0 and 1")),
     *(
         Case(f"pins: {name}", "export", UNSURE, export_pins(SPOILT_PINS[name]))
         for name in SPOILT_PINS
     ),
+    Case("a camera 5 % nearer, or further", "predict", "less confidence", lower_confidence),
     Case("one of three is noise", "stream", "exit code 0, a count", stream_mixed(1, 0)),
     Case("half are foreign", "stream", "exit code 1, a count", stream_mixed(2, 1)),
     Case("half are foreign", "pose", "exit code 1, empty cells", pose_mixed),
@@ -447,7 +492,8 @@ IMAGES = [
     Case("a folder of black", "unshear", "refused", refuse_folder("unshear", "black")),
     Case("a folder of halves", "pose", "refused", refuse_folder("pose", "half covered")),
     Case("another sensor", "pose", "refused", refuse_folder("pose", "a sensor of 127 pins")),
-    Case("noise among contacts", "evaluate", "left out", evaluate_others),
+    Case("noise and no contact among contacts", "evaluate", "left out", evaluate_others),
+    Case("no contact among pins of contacts", "evaluate", "left out", evaluate_other_pins),
     Case("noise", "explore", "a reason", explore_foreign("noise", "scattered")),
     Case("black", "explore", "a reason", explore_foreign("black", "flat grey")),
     Case("another sensor", "explore", "a reason", explore_foreign("a sensor of 127 pins", "127")),

@@ -18,7 +18,7 @@ from jaxunshear.config.sensor import TACTIP_331, Nuisance
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.data.simulation import render_images
 from jaxunshear.errors import UserError
-from jaxunshear.inference import infer, readers
+from jaxunshear.inference import infer, readers, trained_model
 from jaxunshear.inference.trained_model import load_model
 from jaxunshear.perception.preprocess import View
 from jaxunshear.perception.touch import Touch
@@ -271,6 +271,17 @@ def stream_touched(door):
     assert set(answer.touch) == set(Touch._fields)
 
 
+def stream_from_untouched(door):
+    door.patch.setitem(door.model.__dict__, "touch_reader", door.model.touch_reader)
+    door.patch.setattr(trained_model, "load_model", lambda *_, **__: door.model)
+    folder = door.write("slight, usual", "deep, usual", "beside, usual")
+    answer = door.command("stream", folder, "--untouched", folder / "000.png")
+    lines = [json.loads(line) for line in answer.out.splitlines() if line.startswith("{")]
+    assert [line.get("error") for line in lines] == ["no contact", None, None], answer.err
+    assert "skipped 1: no contact" in answer.err and answer.code == 0
+    assert lines[0]["touch"]["contact"] < 0.5 < lines[1]["touch"]["contact"]
+
+
 NOISE = np.where(np.random.default_rng(0).random((1, 128, 128)) < 0.3, 255, 0).astype(np.uint8)
 PYTHON, PREDICT = "model.touch", "model.predict"
 CASES = [
@@ -297,6 +308,7 @@ CASES = [
     Case("untouched, --force", "pose", "a pose, its contact", pose_by_force),
     Case("--untouched, a slight contact", "pose", "its pins are the rest", pose_from_untouched),
     Case("one of three untouched", "unshear", "no image, its contact", unshear_some),
+    Case("--untouched, a slight contact", "stream", "its pins are the rest", stream_from_untouched),
     Case("untouched", "stream", "no contact, its probability", stream_untouched),
     Case("dragged", "stream", "all of touch", stream_touched),
 ]

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
@@ -19,6 +20,7 @@ from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import (
     compute_plausibility,
     invert_image,
+    judge_image,
     judge_images,
     measure_image_appearance,
     measure_sensor_appearance,
@@ -154,6 +156,24 @@ def test_other_sizes_are_the_same_sensor(sets):
     assert all(compute_plausibility(image, sets["331"].expected) > 0.9 for image in large)
 
 
+@pytest.mark.parametrize("name", SENSORS)
+def test_images_of_another_scale_are_less_familiar(sets, name):
+    sensor, camera = SENSORS[name]
+
+    def judge(scale):
+        moved = replace(camera, mm_across=camera.mm_across * scale)
+        images = touched(sensor, moved, 8, seed=5)
+        judged = [judge_image(image, sets[name].expected) for image in images]
+        return np.median([(each.plausibility, each.familiarity) for each in judged], axis=0)
+
+    assert judge(1.0)[1] > 0.95
+    for scale in (0.95, 1.05) if sensor.pins == 331 else ():
+        plausibility, familiarity = judge(scale)
+        assert plausibility > 0.8 and 0.1 < familiarity < 0.75
+    assert judge(0.88)[1] < judge(1.1)[1] < 0.3
+    assert judge_image(np.zeros((128, 128), np.uint8), sets[name].expected).familiarity == 0
+
+
 def test_real_images(sets, real_recordings):
     """Slides of one day by what taps of another day show; and neither is 127 pins, nor noise."""
     taps = _packed(real_recordings / "edge_2d_tap_train.npz", 30)
@@ -162,6 +182,7 @@ def test_real_images(sets, real_recordings):
     expected = measure_sensor_appearance(lattice.rest, 128)
     likely = np.array([compute_plausibility(image, expected) for image in slides])
     assert np.median(likely) > 0.95 and np.mean(likely > 0.5) >= 0.9
+    assert np.median([judge_image(image, expected).familiarity for image in slides]) > 0.95
     assert judge_images(slides[:20], expected).ok
     reason = judge_images(slides[:20], sets["127"].expected).reason
     assert reason.startswith("about 331 pins are found, the model's sensor has 127")

@@ -158,7 +158,7 @@ def _build_pictures(tab: Tab) -> None:
             ui.label(f"motions drawn {STRETCH:g} times as long").classes("hint")
         with ui.element("div").classes("stack"):
             with ui.element("div").classes("card"):
-                ui.label("pose, as it is and as it is read").classes("title")
+                ui.label("pose, true and estimated").classes("title")
                 tab.parts["poses"] = _add_table({"quantity": ""} | COLUMNS)
             with ui.element("div").classes("card"):
                 ui.label("contact, slip and shear").classes("title")

@@ -1,9 +1,10 @@
-"""Finds the pins of a camera's frames for an exported file, without JAX.
+"""Finds the pins of a camera's frames, and the contact that they show, without JAX.
 
-`write_pin_module` writes this class, with all that it uses, as a module of its own.
+`write_pin_module` writes one of two classes, with all that it uses, as a module beside an exported
+file: `CameraPins` for networks over pins, `CameraImages` for networks over images.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +20,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import write_bytes
 from jaxunshear.inference.readers import (
     FrameTransforms,
+    TouchReader,
     add_no_contact,
     judge_batch,
     learn_gauge,
@@ -26,17 +28,25 @@ from jaxunshear.inference.readers import (
     read_pins,
     turn_pose,
 )
+from jaxunshear.inference.steady_view import make_steady_view
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.lattice import Lattice, make_lattice
 from jaxunshear.perception.preprocess import Box, View, prepare_frame
 from jaxunshear.perception.sensor_check import SensorAppearance
-from jaxunshear.perception.touch import TouchGauge, TouchWeights, make_scaled_gauge, measure_touch
+from jaxunshear.perception.touch import (
+    TouchGauge,
+    TouchWeights,
+    make_scaled_gauge,
+    may_be_untouched,
+    measure_touch,
+)
 
 DATA = (SensorFrame, View, Box, Preprocess, SensorAppearance, TouchWeights)
 HEADING = '''"""Finds the pins of a camera's frames for {name}. Written by jaxunshear {version}.
 
     reading = CAMERA.read(frame)  # (H, W), or (H, W, channels) in the order red, green, blue
-    pose = session.run(["pose"], {{"pins": reading.inputs}})  # then CAMERA.turn_pose, by name
+    pose = session.run(["pose"], {inputs})  # then CAMERA.turn_pose, by name
+    reading.reason, reading.touch  # such as "no contact"; contact, slip and shear by name
 
 Needs numpy, scipy, scikit-image and threadpoolctl alone.
 """
@@ -46,10 +56,13 @@ Needs numpy, scipy, scikit-image and threadpoolctl alone.
 class CameraReading(NamedTuple):
     """The pins of a frame, and the contact that they show."""
 
-    inputs: np.ndarray  # (1, P, 2) px, float32: of the exported file; NaN where there is a reason
+    # of the exported file: pins (1, P, 2) px, float32, NaN where there is a reason; or the prepared
+    # image (1, S, S), uint8, black where there is a reason
+    inputs: np.ndarray
     pins: np.ndarray  # (P, 2) px of the prepared image, NaN for one that is not seen
     touch: dict[str, float]  # contact, slip and shear, by output
     reason: str  # why there is no pose; empty where there is one
+    familiarity: float = 0.0  # in [0, 1]: less if pins are spaced otherwise than the model's
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +88,7 @@ class CameraPins:
 
     @cached_property
     def gauge(self) -> TouchGauge:
-        untouched = make_lattice(self.untouched, self.frame.ring)
+        untouched = make_lattice(self.untouched, self.frame.ring, self.frame.lost)
         return make_scaled_gauge(untouched, self.mm_per_px, self.stiffness, self.weights)
 
     def read(self, frame: np.ndarray) -> CameraReading:
@@ -90,7 +103,9 @@ class CameraPins:
         judged = judge_batch(images, identified, self.appearance, force=False)
         touch = measure_touch(self.gauge, pins)
         reason = str(add_no_contact(judged.rejection, touch, force=False)[0])
-        return CameraReading(nothing if reason else values, pins[0], touch.describe(0), reason)
+        inputs = nothing if reason else values
+        familiarity = float(judged.familiarity[0])
+        return CameraReading(inputs, pins[0], touch.describe(0), reason, familiarity)
 
     def learn_rest_positions(self, frames: Sequence[np.ndarray]) -> "CameraPins":
         """Return the camera that measures touch from these frames, of an untouched dome.
@@ -108,6 +123,68 @@ class CameraPins:
         return turn_pose(pose, self.transforms.degrees)
 
 
+@dataclass(frozen=True, eq=False)
+class CameraImages:
+    """A camera, and what a model over images knows of its sensor."""
+
+    preprocess: Preprocess
+    view: View | None  # None: the crop that the frames so far have in common
+    appearance: SensorAppearance
+    rest: np.ndarray  # (P, 2) px of the prepared image, against which pins are tracked
+    ring: np.ndarray  # (P,)
+    lost: tuple[int, ...]
+    untouched: np.ndarray  # (P, 2) px, from where touch is measured
+    mm_per_px: float
+    stiffness: float
+    weights: TouchWeights
+
+    @cached_property
+    def find_view(self) -> Callable[[np.ndarray], View]:
+        return make_steady_view(self.preprocess)
+
+    @cached_property
+    def reader(self) -> TouchReader:
+        untouched = make_lattice(self.untouched, self.ring, self.lost)
+        gauge = make_scaled_gauge(untouched, self.mm_per_px, self.stiffness, self.weights)
+        return TouchReader(make_lattice(self.rest, self.ring, self.lost), gauge)
+
+    def prepare(self, frame: np.ndarray) -> np.ndarray:
+        """Turn a frame (H, W) or (H, W, channels) into an image (S, S). Raises UserError."""
+        return prepare_frame(self.preprocess, frame, self.view or self.find_view(frame))
+
+    def read(self, frame: np.ndarray) -> CameraReading:
+        """Read a frame (H, W) or (H, W, channels) of the camera, as `TrainedModel.predict` does."""
+        try:
+            return self.read_image(self.prepare(frame))
+        except UserError as error:
+            size = self.preprocess.size
+            pins = np.full(self.rest.shape, np.nan)
+            return CameraReading(np.zeros((1, size, size), np.uint8), pins, {}, str(error))
+
+    def read_image(self, image: np.ndarray) -> CameraReading:
+        """Read a prepared image (S, S) uint8 of 0 and 255."""
+        images = image[None]
+        judged = judge_batch(images, np.ones(1, bool), self.appearance, force=False)
+        pins = self.reader.track(images)
+        touch = self.reader.measure(images, pins)
+        is_touched = not may_be_untouched(self.reader.gauge, judged.pins[0])
+        reason = str(add_no_contact(judged.rejection, touch, force=is_touched)[0])
+        inputs, familiarity = images * (not reason), float(judged.familiarity[0])
+        return CameraReading(inputs, pins[0], touch.describe(0), reason, familiarity)
+
+    def learn_rest_positions(self, frames: Sequence[np.ndarray]) -> "CameraImages":
+        """Return the camera that measures touch from these frames, of an untouched dome.
+
+        Raises UserError.
+        """
+        learnt = self.reader.learn_rest_positions(np.stack(list(map(self.prepare, frames))), None)
+        return replace(self, untouched=learnt.gauge.lattice.rest)
+
+    def turn_pose(self, pose: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return poses of the file as they are: this camera's sensor stands as the model's."""
+        return pose
+
+
 def get_module_path(file: Path) -> Path:
     """Return the path of the module beside an exported file.
 
@@ -119,14 +196,11 @@ def get_module_path(file: Path) -> Path:
     return path
 
 
-def write_pin_module(model: TrainedModel, model_rest: np.ndarray, file: Path) -> Path:
-    """Write the module that finds the pins of a model's camera beside an exported file.
-
-    Returns its path. The model has a frame, and networks over pins that rest at `model_rest` px.
-    """
+def describe_camera_pins(model: TrainedModel, model_rest: np.ndarray) -> CameraPins:
+    """Describe the camera of a model with a frame, over pins that rest at (P, 2) px."""
     assert model.frame is not None
     gauge = model.touch_reader.gauge
-    camera = CameraPins(
+    return CameraPins(
         model.preprocess,
         model.frame,
         model_rest,
@@ -136,8 +210,33 @@ def write_pin_module(model: TrainedModel, model_rest: np.ndarray, file: Path) ->
         gauge.stiffness,
         gauge.weights,
     )
-    heading = HEADING.format(name=file.name, version=__version__)
-    source = collect_source(CameraPins, *DATA)
+
+
+def describe_camera_images(model: TrainedModel, view: View | None) -> CameraImages:
+    """Describe the camera of a model over images; `view` has the crop of its frames, if known."""
+    lattice, gauge = model.touch_reader
+    return CameraImages(
+        model.preprocess,
+        view,
+        model.appearance,
+        lattice.rest,
+        lattice.ring,
+        lattice.lost,
+        gauge.lattice.rest,
+        gauge.mm_per_px,
+        gauge.stiffness,
+        gauge.weights,
+    )
+
+
+def write_pin_module(camera: CameraPins | CameraImages, inputs: str, file: Path) -> Path:
+    """Write the module that finds the pins of a camera beside an exported file; return its path.
+
+    `inputs` is what the file takes: pins, image or frame.
+    """
+    given = f'"{inputs}": {"frame[None]" if inputs == "frame" else "reading.inputs"}'
+    heading = HEADING.format(name=file.name, version=__version__, inputs=f"{{{given}}}")
+    source = collect_source(type(camera), *DATA)
     path = get_module_path(file)
     write_bytes(path, f"{heading}\n{source}\n\nCAMERA = {_format(camera)}\n".encode())
     return path

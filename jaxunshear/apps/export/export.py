@@ -15,7 +15,12 @@ import jax
 import numpy as np
 
 from jaxunshear import __version__
-from jaxunshear.apps.export.camera_pins import get_module_path, write_pin_module
+from jaxunshear.apps.export.camera_pins import (
+    describe_camera_images,
+    describe_camera_pins,
+    get_module_path,
+    write_pin_module,
+)
 from jaxunshear.apps.export.parts import (
     MAX_DIFFERENCE,
     ExportedModel,
@@ -30,6 +35,7 @@ from jaxunshear.files import Json, write_bytes
 from jaxunshear.inference.trained_model import TrainedModel, load_model
 from jaxunshear.models import layer_choice
 from jaxunshear.output_checks import check_new_folder, check_outside
+from jaxunshear.perception.preprocess import View
 from jaxunshear.perception.sensor_check import FOREIGN_REASON
 
 if TYPE_CHECKING:
@@ -56,8 +62,9 @@ def export_model(
 ) -> float:
     """Write a model to `out` and return the largest difference to JAX, over an output's range.
 
-    Beside a file over pins stands the module that finds them, if the model knows a camera. Raises
-    UserError, and then leaves nothing behind.
+    Beside the file stands the module that finds pins in frames and says whether they show a
+    contact; for networks over pins only if the model knows a camera. Raises UserError, and then
+    leaves nothing behind.
 
     Args:
         batch: how many images the file takes at once, None for any.
@@ -73,9 +80,10 @@ def export_model(
             "name contacts of the camera by --like"
         )
     _check_extra(out.suffix)
-    parts = load_exported_model(model)
+    parts, camera = load_exported_model(model), None
     if out.suffix == ONNX:
-        data, difference = _export_onnx(parts, model, batch, preprocess)
+        camera = _read_camera(model, preprocess)
+        data, difference = _export_onnx(parts, model, batch, camera)
     else:
         data, difference = _export_stablehlo(parts, batch)
     if not difference <= MAX_DIFFERENCE:
@@ -87,16 +95,23 @@ def export_model(
     size = f"{len(data) / 1e6:.1f} MB"
     print(f"{out}: {size}, differs from JAX by at most {difference:.1e} of an output's range")
     module.unlink(missing_ok=True)  # of an earlier file, perhaps of another camera
-    if parts.rest is not None:
-        _write_module(model, parts.rest, out)
+    _write_module(model, parts, camera, out)
     return difference
 
 
-def _write_module(model: TrainedModel, rest: np.ndarray, out: Path) -> None:
-    if model.frame is None:
+def _write_module(
+    model: TrainedModel, parts: ExportedModel, camera: "ExportCamera | None", out: Path
+) -> None:
+    if parts.rest is None:
+        view = model.view if camera is None else View(camera.box, dark=camera.dark)
+        inputs = "image" if camera is None else "frame"
+        path = write_pin_module(describe_camera_images(model, view), inputs, out)
+    elif model.frame is None:
         print("no module that finds pins: name contacts of a camera by --like")
+        return
     else:
-        print(f"{write_pin_module(model, rest, out)}: finds pins in frames of the camera")
+        path = write_pin_module(describe_camera_pins(model, parts.rest), "pins", out)
+    print(f"{path}: finds pins in frames of the camera, and says if they show no contact")
 
 
 def _check_arguments(out: Path, batch: int | None, preprocess: Path | None) -> None:
@@ -125,13 +140,18 @@ def _check_extra(suffix: str) -> None:
         raise UserError(f"a file that ends in {suffix} needs {error.name}: {EXTRA}") from None
 
 
+def _read_camera(model: TrainedModel, preprocess: Path | None) -> "ExportCamera | None":
+    from jaxunshear.apps.export.onnx_graph import read_camera
+
+    return read_camera(preprocess, model.preprocess, model.view) if preprocess else None
+
+
 def _export_onnx(
-    parts: ExportedModel, model: TrainedModel, batch: int | None, preprocess: Path | None
+    parts: ExportedModel, model: TrainedModel, batch: int | None, camera: "ExportCamera | None"
 ) -> tuple[bytes, float]:
     from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
-    from jaxunshear.apps.export.onnx_graph import preprocess_frames, read_camera
+    from jaxunshear.apps.export.onnx_graph import preprocess_frames
 
-    camera = read_camera(preprocess, model.preprocess, model.view) if preprocess else None
     data = build_onnx(parts, batch, camera, _make_metadata(parts, model, camera))
     run = make_onnx_runner(data, parts)
     if camera is None:

@@ -1,76 +1,23 @@
 """The module beside a file over pins gives what the model gives, without JAX and this package."""
 
 import ast
+import dataclasses
 import json
-import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
-from scipy import ndimage
 
 from jaxunshear import load_model
-from jaxunshear.angles import rotation_2d
 from jaxunshear.apps.export import camera_pins, package_source
 from jaxunshear.apps.export.package_source import collect_source
+from jaxunshear.apps.export.parts import load_exported_model
 from jaxunshear.cli import main
-from jaxunshear.data.simulation import render_images
 from jaxunshear.perception.preprocess import View
 from jaxunshear.perception.touch import Touch
-from jaxunshear.simulator.pin_layout import compute_pin_tips
-
-ROBOT = Path(__file__).resolve().parents[3] / "examples" / "robot.py"
-CONTACTS = 24
-PROGRAM = """
-import runpy
-import sys
-from pathlib import Path
-
-
-class Absent:
-    def find_spec(self, name, *_):
-        if name.partition(".")[0] in ("jax", "jaxlib", "jaxtyping", "flax", "jaxunshear"):
-            raise ImportError(name)
-
-
-sys.meta_path.insert(0, Absent())
-import numpy as np
-from touch_pins import CAMERA
-
-frames = np.load("frames.npy")
-readings = [CAMERA.read(frame) for frame in frames]
-learnt = CAMERA.learn_rest_positions(frames[-2:-1]).read(frames[0])
-inputs, pins, touch, reasons = zip(*readings)
-found = dict(inputs=np.concatenate(inputs), pins=np.stack(pins), reasons=reasons)
-np.savez("read.npz", **found, learnt=list(learnt.touch.values()))
-sys.argv[1:] = ["touch.onnx", "frames.npy"]
-sys.path.insert(0, "")
-runpy.run_path(ROBOT, run_name="__main__")
-"""
-
-
-def make_frames(model):
-    """Render frames of a camera: CONTACTS of them touched, then one untouched and one of noise."""
-    random, sensor = np.random.default_rng(0), model.sensor
-    tips = np.stack([compute_pin_tips(sensor)] * (CONTACTS + 1))
-    for row in range(0, CONTACTS, 6):  # six copies, turned: the mean of all is round
-        middle, drag = random.uniform(-3, 3, (2, 2)) * [[1], [0.2]]
-        for number in range(6):
-            turn = rotation_2d(np.radians(60 * number))
-            place = tips[row + number]  # a view
-            offset = place[:, :2] - turn @ middle
-            share = np.exp(-np.square(offset).sum(-1) / (2 * 5.0**2))[:, None]
-            place[:, :2] += share * (0.15 * offset + turn @ drag)
-    paired = model.experiment.paired
-    numbers, ages = np.arange(len(tips)), np.zeros(len(tips))
-    images, _ = render_images(paired, sensor, tips, numbers, ages, len(tips))
-    frames = np.kron(images, np.ones((1, 3, 3)))
-    grey = 30 + 0.6 * ndimage.gaussian_filter(frames, (0, 1.5, 1.5))
-    grey = np.concatenate([grey, random.uniform(0, 255, grey[:1].shape)])
-    return np.uint8(np.clip(grey + random.normal(0, 2, grey.shape), 0, 255))
+from tests.helpers.robots import CONTACTS, make_frames, run_robot
 
 
 @pytest.fixture(scope="module")
@@ -82,18 +29,15 @@ def exported(tmp_path_factory):
     np.save(folder / "frames.npy", frames)
     out = folder / "touch.onnx"
     assert main(["export", "skin", "--like", str(contacts), "--out", str(out)]) == 0
-    command = [sys.executable, "-c", PROGRAM.replace("ROBOT", repr(str(ROBOT)))]
-    ran = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=300, env={"PATH": ""}
-    )
-    assert ran.returncode == 0, ran.stderr
+    lines = run_robot(folder).splitlines()
     model = load_model("skin", like=contacts)
     images = np.stack([model.prepare(frame) for frame in frames])
     return SimpleNamespace(
         read=np.load(folder / "read.npz"),
-        lines=[json.loads(line) for line in ran.stdout.splitlines()],
+        lines=[json.loads(line) for line in lines],
         imports=ast.parse((folder / "touch_pins.py").read_text()).body,
         contacts=contacts,
+        frames=frames,
         model=model,
         images=images,
         predictions=model.predict(images),
@@ -132,6 +76,16 @@ def test_an_untouched_frame_is_learnt_as_the_model_learns_it(exported):
     expected = list(model.touch(exported.images[:1]).describe(0).values())
     np.testing.assert_allclose(exported.read["learnt"], expected, atol=1e-4)
     assert abs(exported.lines[0]["touch"]["contact"] - expected[0]) > 0
+
+
+def test_a_worn_dome_is_learnt_too(exported):
+    rest = load_exported_model(exported.model).rest
+    camera = camera_pins.describe_camera_pins(exported.model, rest)
+    worn = dataclasses.replace(camera, frame=camera.frame._replace(lost=(5,)))
+    learnt = worn.learn_rest_positions(exported.frames[-2:-1])
+    assert np.isfinite(learnt.untouched).all()
+    reading = learnt.read(exported.frames[0])
+    assert np.isnan(reading.pins[5]).all() and reading.touch["contact"] > 0.5
 
 
 def test_a_robot_s_program_gives_the_model_s_poses(exported):
@@ -184,7 +138,7 @@ def test_a_file_of_somebody_else_stays(command, tmp_path):
 def test_the_module_of_an_earlier_camera_goes(command, tmp_path):
     file = tmp_path / "touch.onnx"
     path = camera_pins.get_module_path(file)
-    path.write_text(camera_pins.HEADING.format(name=file.name, version="0"))
+    path.write_text(camera_pins.HEADING.format(name=file.name, version="0", inputs="{}"))
     answer = command("export", "skin", "--out", file)
     assert answer.code == 0 and not path.exists()
     assert "name contacts of a camera by --like" in answer.out

@@ -346,6 +346,7 @@ def test_a_robot_s_program_in_python(run_dir, tmp_path):
     assert imported == {"importlib", "json", "sys", "time", "Path", "numpy", "onnxruntime"}
     folder = frames_in(tmp_path / "frames", "colour")
     out = export_model(run_dir, tmp_path / "touch.onnx", "--preprocess", folder)
+    (tmp_path / "touch_pins.py").unlink()  # which needs more; test_camera_images.py has both
     frames = read_frames(folder)
     frames = np.concatenate([frames, np.zeros_like(frames[:1])])
     np.save(tmp_path / "frames.npy", frames)
