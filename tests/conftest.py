@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from threadpoolctl import threadpool_limits
@@ -103,8 +103,10 @@ def one_blas_thread(request: pytest.FixtureRequest) -> Iterator[None]:
 # They take a worker longest; started last, they would keep one waiting for the other. The runs come
 # first: later files find what these compiled.
 FIRST = (
-    *("test_run.py", "recordings/test_laboratory.py", "calibration/test_calibrate.py"),
-    *("sweep/test_run.py", "evaluation/test_leakage.py", "test_notebooks.py"),
+    *("test_run.py", "recordings/test_laboratory.py", "recordings/test_tasks.py"),
+    *("recordings/test_adapt.py", "recordings/test_layout.py", "test_notebooks.py"),
+    *("test_cli_applications.py", "calibration/test_calibrate.py"),
+    *("sweep/test_run.py", "evaluation/test_leakage.py"),
     *("evaluation/test_probes.py", "evaluation/test_pose_estimators.py"),
     "training/test_trainer.py",
 )
@@ -113,6 +115,22 @@ FIRST = (
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     order = {Path(__file__).parent / name: place for place, name in enumerate(FIRST)}
     items.sort(key=lambda item: order.get(item.path, len(order)))
+
+
+# They share a trained run: one worker takes them all, and trains it once.
+TOGETHER = tuple(f"tests/recordings/test_{name}.py" for name in ("laboratory", "adapt", "tasks"))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give each worker a file at a time, and one of them all of TOGETHER."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return TOGETHER[0] if nodeid.startswith(TOGETHER) else super()._split_scope(nodeid)
+
+    return Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
 class Answer(NamedTuple):
