@@ -117,18 +117,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: order.get(item.path, len(order)))
 
 
-# They share a trained run: one worker takes them all, and trains it once.
-TOGETHER = tuple(f"tests/recordings/test_{name}.py" for name in ("laboratory", "adapt", "tasks"))
+# Files of a folder that share a run or a simulation: one worker takes them all, and makes it once.
+SHARING = {
+    "recordings": ("laboratory", "tasks", "adapt"),
+    "calibration": ("calibrate", "validate"),
+    "evaluation": ("code_swaps", "network_outputs", "stage"),
+}
+TOGETHER = {f"tests/{at}/test_{name}.py": at for at, names in SHARING.items() for name in names}
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Give each worker a file at a time, and one of them all of TOGETHER."""
+    """Give a worker a file at a time, or all of those that share."""
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return TOGETHER[0] if nodeid.startswith(TOGETHER) else super()._split_scope(nodeid)
+            file = nodeid.partition("::")[0]
+            return TOGETHER.get(file, file)
 
     return Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
