@@ -3,25 +3,40 @@
 import functools
 import gc
 import os
-import shutil
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from threadpoolctl import threadpool_limits
 
-# Many tests, their workers and the processes they start compile the same programs: once is enough.
-# A program is found again if XLA's flags are the same. They compute little, so it need not be
-# optimised: `XLA_FLAGS= make test` tests what users run, in twice the time. JAX reads all of these
-# when it is imported.
-COMPILED = "JAX_COMPILATION_CACHE_DIR"
-OWN = COMPILED not in os.environ
-if OWN:
-    os.environ[COMPILED] = tempfile.mkdtemp(prefix="compiled-")
+
+def open_program_cache(folder: Path) -> Path:
+    """Make the folder of compiled programs, without what a killed run may have cut in it.
+
+    JAX never writes an entry again. One that is too large is emptied: it also has what no test
+    compiles any more.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    entries = {file: file.stat() for file in folder.iterdir()}
+    last = max((entry.st_mtime for entry in entries.values()), default=0)
+    too_large = sum(entry.st_size for entry in entries.values()) > LARGEST_CACHE
+    for file, entry in entries.items():
+        if too_large or entry.st_mtime > last - 5:
+            file.unlink(missing_ok=True)
+    return folder
+
+
+# Many tests, their workers and the processes they start compile the same programs: once is enough,
+# and they are kept for the next run; `make clean` removes them. A program is found again if XLA's
+# flags are the same. They compute little, so it need not be optimised: `XLA_FLAGS= make test` tests
+# what users run, in twice the time. JAX reads all of these when it is imported.
+COMPILED, LARGEST_CACHE = "JAX_COMPILATION_CACHE_DIR", 2**30
+if COMPILED not in os.environ:  # workers have it from the process that started them
+    programs = Path(__file__).resolve().parents[1] / ".pytest_cache" / "programs"
+    os.environ[COMPILED] = str(open_program_cache(programs))
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 # without the second flag doubles are wrong
 FLAGS = "--xla_backend_optimization_level=0 --xla_backend_extra_options=-fast-isel=false"
@@ -45,11 +60,6 @@ def real_recordings() -> Path:
     if not REAL.is_dir():
         pytest.skip(f"needs the real recordings in {REAL}, which no clone has")
     return REAL
-
-
-def pytest_unconfigure() -> None:
-    if OWN:  # workers have it from the process that started them
-        shutil.rmtree(os.environ[COMPILED], ignore_errors=True)
 
 
 STRICT = {
@@ -93,8 +103,10 @@ def one_blas_thread(request: pytest.FixtureRequest) -> Iterator[None]:
 # They take a worker longest; started last, they would keep one waiting for the other. The runs come
 # first: later files find what these compiled.
 FIRST = (
-    *("test_run.py", "recordings/test_laboratory.py", "calibration/test_calibrate.py"),
-    *("sweep/test_run.py", "evaluation/test_leakage.py", "test_notebooks.py"),
+    *("test_run.py", "recordings/test_laboratory.py", "recordings/test_tasks.py"),
+    *("recordings/test_adapt.py", "recordings/test_layout.py", "test_notebooks.py"),
+    *("test_cli_applications.py", "calibration/test_calibrate.py"),
+    *("sweep/test_run.py", "evaluation/test_leakage.py"),
     *("evaluation/test_probes.py", "evaluation/test_pose_estimators.py"),
     "training/test_trainer.py",
 )
@@ -103,6 +115,28 @@ FIRST = (
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     order = {Path(__file__).parent / name: place for place, name in enumerate(FIRST)}
     items.sort(key=lambda item: order.get(item.path, len(order)))
+
+
+# Files of a folder that share a run or a simulation: one worker takes them all, and makes it once.
+SHARING = {
+    "recordings": ("laboratory", "tasks", "adapt"),
+    "calibration": ("calibrate", "validate"),
+    "evaluation": ("code_swaps", "network_outputs", "stage"),
+}
+TOGETHER = {f"tests/{at}/test_{name}.py": at for at, names in SHARING.items() for name in names}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give a worker a file at a time, or all of those that share."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return TOGETHER.get(file, file)
+
+    return Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
 class Answer(NamedTuple):

@@ -27,8 +27,6 @@ DEMO = ROOT / "experiments" / "demo.py"
 BAD_FIELDS = [
     ("--train.epoch 5", "did you mean --train.epochs?"),
     ("--train.epochs five", "takes a number, not 'five'"),
-    ("--train.epochs 0", "must be above zero"),
-    ("--train.batch 100000", "larger than the training set of 2160"),
     ("--unshear.size 96", "differs from the data set's images"),
     ("--sensor.rings 40", "past the dome's rim"),
     ("stray", "stray"),
@@ -84,9 +82,6 @@ def bad_commands(tmp_path: Path) -> list[tuple[list, str]]:
         (folder / "experiment.json").write_text(text)
     out = ("--out", tmp_path / "out")
     return [
-        (["dance"], "there is no command 'dance'; see"),
-        (["run"], "required: EXPERIMENT"),
-        (["run", tmp_path / "none.py"], "does not exist"),
         (["run", tmp_path], "is a folder"),
         (["run", image], "not text"),
         (["train", DEMO, "--network", "resnet"], "--network"),
@@ -325,22 +320,6 @@ def test_a_calibration_writes_statistics_and_parameters(tmp_path, monkeypatch):
     file = tmp_path / "calibration.json"
     assert main(["calibrate", "recordings", "--json", str(file)]) == 0
     assert json.loads(file.read_text())["rows"] == rows["rows"] + rows["parameters"]
-
-
-def test_recordings_that_are_not_there_are_refused_in_one_line(command):
-    answer = command("calibrate", "nowhere")
-    assert (answer.code, answer.err.count("\n")) == (2, 1) and "nowhere" in answer.err
-
-
-def test_a_folder_cannot_be_the_file_of_rows(tmp_path, capsys):
-    assert main(["calibrate", "recordings", "--json", str(tmp_path)]) == 2
-    assert "is a folder" in capsys.readouterr().err
-    (tmp_path / "file").touch()
-    assert (
-        main(["calibrate", "recordings", "--json", str(tmp_path / "file" / "deeper" / "rows.json")])
-        == 2
-    )
-    assert f"{tmp_path / 'file'} is a file" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

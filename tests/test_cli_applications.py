@@ -64,7 +64,6 @@ def model(tmp_path_factory):
         (("geometry", "nowhere"), "nowhere does not exist"),
         (("geometry", "."), ". holds no images"),
         (("reconstruct", "--stimulus", "disk"), "holds no walks"),
-        (("stream", "nowhere"), "nowhere does not exist"),
         (("stream", ".", "--fps", "0"), "--fps 0"),
     ],
 )
@@ -98,12 +97,13 @@ def test_a_model_without_networks(command, tmp_path, model, name, said):
     assert answer.code == 2 and said in answer.err and not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("name", ["servo", "geometry", "stream"])
+@pytest.mark.parametrize("name", ["servo", "geometry", "stream", "unshear"])
 def test_a_half_trained_network_is_refused(command, tmp_path, model, name):
     shutil.copytree(model, tmp_path / "half")
     (tmp_path / "half" / "disentangled" / "summary.json").unlink()
     Image.fromarray(np.zeros((128, 128), np.uint8)).save(tmp_path / "one.png")
-    given = (tmp_path / "one.png",) if name == "stream" else ("--out", tmp_path / "out")
+    given = (tmp_path / "one.png",) if name in ("stream", "unshear") else ()
+    given += () if name == "stream" else ("--out", tmp_path / "out")
     answer = command(name, *given, "--model", tmp_path / "half")
     assert answer.code == 2 and "was not finished" in answer.err and not (tmp_path / "out").exists()
 
@@ -153,6 +153,7 @@ def test_nothing_is_written_among_the_recordings(command, tmp_path, monkeypatch,
         ("pins", "images", "--out", "images/new"),
         ("pins", "others", "--rest", "images", "--out", "images/new"),
         ("calibrate", "images", "--out", "images/new"),
+        ("unshear", "images", "--out", "images", "--model", model),
         ("geometry", "images", "--out", "images", "--model", model),
         ("stream", "images", "--images", "images", "--model", model),
     ):
@@ -184,14 +185,6 @@ def test_geometry_scores_and_draws(command, brief, tmp_path, model):
     assert rows["all/untouched/inverse"]["largest_mm"] == 0
     assert rows["all/untouched/areas"]["largest_mm"] > 0
     assert (tmp_path / "out" / "geometry.png").is_file()
-
-
-def test_images_too_small_to_show_pins_are_refused(command, brief, tmp_path):
-    walks, small = tmp_path / "walks", run_of(tmp_path, 32)
-    words = ("--model", small, "--out", walks)
-    assert command("servo", *words, "--stimulus", "disk", "--starts", 1, "--ways", "true").code == 0
-    answer = command("reconstruct", *words[1:])
-    assert answer.code == 2 and "of 32 px: use a model of larger images" in answer.err
 
 
 def test_stream_of_a_folder(command, tmp_path, model):

@@ -4,8 +4,12 @@ import json
 from functools import partial
 
 import jax
+import numpy as np
 
 from jaxunshear.config import networks
+from jaxunshear.config.data import PairedData, PoseData
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.sensor import TACTIP_127, Preprocess
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.targets import count_outputs
 from jaxunshear.config.targets import to_json as targets_to_json
@@ -53,3 +57,25 @@ def write_run(folder, experiment, nets, variables, targets):
         learnt = targets if name.startswith("posenet") else ()
         write_network(folder / name, net, variables[name], learnt)
     return folder
+
+
+def write_pin_weights(folder, targets, rest, size):
+    """Write random networks over 127 simulated pins: their answer depends on the pins alone."""
+    seen = Preprocess(size=size)
+    experiment = Experiment(
+        *("skin", "none"),
+        sensor=TACTIP_127,
+        targets=tuple(target.name for target in targets),
+        unshear=networks.UnshearNet(size=size, input="pins"),
+        paired=PairedData(preprocess=seen),
+        pose=PoseData(preprocess=seen),
+    )
+    nets = {"disentangled": networks.PinUnshear(hidden=16, layers=1)}
+    nets["posenet"] = networks.PinPoseNet(hidden=16, layers=1)
+    rng, variables = np.random.default_rng(1), {}
+    for seed, (name, net) in enumerate(nets.items()):
+        fresh = init(net, seed, targets if name == "posenet" else (), rest)
+        variables[name] = change_weights(
+            fresh, lambda x: x + rng.normal(0, 0.2, x.shape).astype(x.dtype)
+        )
+    return write_run(folder, experiment, nets, variables, targets)

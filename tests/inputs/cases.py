@@ -20,6 +20,11 @@ class Case(NamedTuple):
     check: Callable[..., None]
 
 
+def list_cases(door: str, answer: str, make: Callable[..., Any], rows: Iterable[Any]) -> list[Case]:
+    """List cases of one door and answer: a row is a name and what `make` takes."""
+    return [Case(name, door, answer, make(*given)) for name, *given in rows]
+
+
 def run_each(cases: Iterable[Case]) -> pytest.MarkDecorator:
     """Parametrise a test by cases, as the argument `case`."""
     parameters: list[Any] = [pytest.param(case, id=f"{case.door}: {case.name}") for case in cases]

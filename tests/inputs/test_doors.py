@@ -104,17 +104,18 @@ def pose_by(change, *words):
     return check
 
 
-def widen(folder):
-    settings = json.loads((folder / "model.json").read_text())
-    del settings["checksum"]
-    settings["net"]["widths"][0] += 1
-    (folder / "model.json").write_text(json.dumps(settings))
+def edit_settings(change):
+    def edit(folder):
+        settings = json.loads((folder / "model.json").read_text())
+        del settings["checksum"]
+        change(settings)
+        (folder / "model.json").write_text(json.dumps(settings))
+
+    return edit
 
 
-def forget_a_target(folder):
-    settings = json.loads((folder / "model.json").read_text())
-    del settings["checksum"], settings["targets"][-1]
-    (folder / "model.json").write_text(json.dumps(settings))
+WIDEN = edit_settings(lambda settings: settings["net"].update(widths=[1] * 5))
+FORGET = edit_settings(lambda settings: settings["targets"].pop())
 
 
 def replace_weights(data):
@@ -154,8 +155,8 @@ WRITES = [
     Case("into a release folder", "run", "refused, untouched", run_into_release_folder),
 ]
 WEIGHTS = [
-    Case("weights of other settings", "pose", "one line", pose_by(widen, "do not fit")),
-    Case("a target less in model.json", "pose", "one line", pose_by(forget_a_target, "do not fit")),
+    Case("weights of other settings", "pose", "one line", pose_by(WIDEN, "do not fit")),
+    Case("a target less in model.json", "pose", "one line", pose_by(FORGET, "do not fit")),
     Case("weights: LFS pointer", "pose", "is named", pose_by(replace_weights(LFS), "git lfs pull")),
     Case("weights: empty", "pose", "is named", pose_by(replace_weights(b""), "the file is empty")),
     Case("image: LFS pointer", "pose", "is named", read_stub(LFS, "git lfs pull")),
@@ -452,6 +453,14 @@ def simulate_by_name(model):
     simulate("tactip331", ("disk",), scenes)
 
 
+def find_in_array(model):
+    find_pins(np.zeros((64, 64)), None)
+
+
+def predict_floats(model):
+    model.predict(np.zeros((1, SIZE, SIZE)))
+
+
 def show_model(given):
     assert len(repr(given.standard)) < 200 and "posenet" in repr(given.standard)
 
@@ -502,18 +511,8 @@ PYTHON = [
     Case("a dome that trembles", "prepare", "the crop of `stream`", prepare_as_stream),
     Case("a model", "repr", "a line", show_model),
     Case("a name", "simulate", "is named", refuse_call(simulate_by_name, "'tactip331' is no Sens")),
-    Case(
-        "an array",
-        "find_pins",
-        "is named",
-        refuse_call(lambda model: find_pins(np.zeros((64, 64)), None), "not ndarray"),
-    ),
-    Case(
-        "floats",
-        "predict",
-        "refused",
-        refuse_call(lambda model: model.predict(np.zeros((1, SIZE, SIZE))), "float64"),
-    ),
+    Case("an array", "find_pins", "is named", refuse_call(find_in_array, "not ndarray")),
+    Case("floats", "predict", "refused", refuse_call(predict_floats, "float64")),
 ]
 CASES = [*WRITES, *WEIGHTS, *MEASURES, *IMAGES, *PYTHON]
 

@@ -23,7 +23,6 @@ from jaxunshear.config.sensor import SENSORS
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
 from jaxunshear.perception.drawing import SURPLUS, compare_images
-from jaxunshear.progress import Progress
 from jaxunshear.report import applications, html, wording
 from jaxunshear.report.contact_figures import build_contact_section, plot_contacts
 from jaxunshear.report.html import build_contents
@@ -33,7 +32,7 @@ from jaxunshear.results.run import Results
 from jaxunshear.simulator.stimuli import STIMULI
 from jaxunshear.style import label_log_axis
 from jaxunshear.text_table import format_plain
-from tests.inputs.cases import Case, run_each
+from tests.inputs.cases import Case, list_cases, run_each
 from tests.report.conftest import make_run
 
 SOURCE = {"version": "0.3.0", "date": "2026-11-29", "commit": "96954d006e903c", "clean": True}
@@ -179,20 +178,10 @@ def escape_contents(run):
     assert "<script" not in shown and shown.count("&lt;script&gt;") == 2
 
 
-def estimate(seconds, text, run):
-    """Compare the end of the line after steps of these seconds, of 100."""
-    now = [0.0]
-    with Progress("servo", 100, "steps", clock=lambda: now[0]) as shown:
-        for each in seconds:
-            now[0] += each
-            shown.advance()
-    assert shown.format_line(now[0]).partition("steps/s")[2] == text
-
-
-def refuse_reconstruction(words, said, run, command, tmp_path):
-    answer = command("reconstruct", *words, "--out", tmp_path / "out")
-    assert answer.code == 2 and said in answer.err and len(answer.err.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
+def refuse_model(run, command, tmp_path):
+    answer = command("reconstruct", "--model", "standard", "--out", tmp_path / "out")
+    assert (answer.code, len(answer.err.splitlines())) == (2, 1)
+    assert "takes no --model; see `jaxunshear" in answer.err and not (tmp_path / "out").exists()
 
 
 def touch_at(pose=FIRST_POSE, move=FIRST_MOVE):
@@ -215,138 +204,76 @@ def colour_surplus(run):
     assert compare_images(image, tap)[0, 0].tolist() == list(SURPLUS)
 
 
-def refuse_port(run, command):
-    answer = command("explore", "--port", "0")
-    assert answer.code == 2 and ("--port 0" in answer.err or "extra `explore`" in answer.err)
-
-
 PAGE, AXIS, NUMBER, SCORES = "write_report", "label_log_axis", "format_plain", "scores.npz"
-RECONSTRUCT, LIMITS = "jaxunshear reconstruct", "explore: a touch"
+LIMITS = "explore: a touch"
 EDGE = (1.0, 0.0, 0.0)
+EARLIER = {"pose/sheared/edge_mm": np.ones(3)}
+LENGTHLESS = make_scores(slide_mm=np.full(40, np.nan))
 FIXTURES = ("command", "tmp_path", "monkeypatch")  # that checks may ask for
+COMMIT = "Evaluated on 2026-11-29 by jaxunshear 0.3.0, commit 96954d006e"
+INSTALLED = {"commit": None, "clean": None}
+DECADES = ["0.00002", "0.00005", "0.0001", "0.0002", "0.0005", "0.001"]
 CASES = [
     Case("any run", f"{PAGE}: contents", "a link to each heading, in their order", check_contents),
     Case("walks of servo", PAGE, "right after the montage", check_servo_first),
     Case("a heading with HTML in it", f"{PAGE}: contents", "escaped, not double", escape_contents),
-    Case(
-        "a run of a commit",
-        PAGE,
-        "day, version, commit",
-        partial(read_page, "Evaluated on 2026-11-29 by jaxunshear 0.3.0, commit 96954d006e."),
+    *list_cases(
+        *(PAGE, "its text", partial(partial, read_page)),
+        [
+            ("a run of a commit", f"{COMMIT}."),
+            ("print: closed parts are opened", "details-content"),
+            ("print: tables are not clipped", ".wide { overflow: vis"),
+            ("1261 nodes free", "<td>1261</td>"),
+            ("large numbers without an exponent", "-e+0"),
+        ],
     ),
-    Case("print", PAGE, "closed parts are opened", partial(read_page, "details-content")),
-    Case("print", f"{PAGE}: tables", "not clipped", partial(read_page, ".wide { overflow: vis")),
-    Case("1261 nodes free", PAGE, "as it is", partial(read_page, "<td>1261</td>")),
-    Case("large numbers", PAGE, "no exponent", partial(read_page, "-e+0")),
-    Case(
-        "code that was changed",
-        "describe_source",
-        "said so",
-        partial(
-            describe_code,
-            {"clean": False},
-            "Evaluated on 2026-11-29 by jaxunshear 0.3.0, commit 96954d006e with changes.",
-        ),
+    *list_cases(
+        *("describe_source", "version, commit", partial(partial, describe_code)),
+        [
+            ("code that was changed", {"clean": False}, f"{COMMIT} with changes."),
+            ("an installed package", INSTALLED, "Evaluated on 2026-11-29 by jaxunshear 0.3.0."),
+            ("an earlier version", None, ""),
+        ],
     ),
-    Case(
-        "an installed package",
-        "describe_source",
-        "no commit",
-        partial(
-            describe_code,
-            {"commit": None, "clean": None},
-            "Evaluated on 2026-11-29 by jaxunshear 0.3.0.",
-        ),
+    *list_cases(
+        *(AXIS, "no exponent", partial(partial, draw_axis)),
+        [
+            ("9 to 12 deg", 9, 12, ["9", "10", "11", "12"]),
+            ("1, 2, 5 of each decade", 2e-5, 1e-3, DECADES),
+        ],
     ),
-    Case("an earlier version", "describe_source", "nothing", partial(describe_code, None, "")),
-    Case("9 to 12 deg", AXIS, "plain", partial(draw_axis, 9, 12, ["9", "10", "11", "12"])),
-    Case(
-        "0.00002 to 0.001",
-        AXIS,
-        "1, 2, 5 of each decade, no exponent",
-        partial(
-            draw_axis, 2e-5, 1e-3, ["0.00002", "0.00005", "0.0001", "0.0002", "0.0005", "0.001"]
-        ),
+    *list_cases(
+        *(NUMBER, "three digits, or all", partial(partial, format_value)),
+        [
+            ("1263.4", 1263.4, "1263"),
+            ("0.0377", 0.03768, "0.0377"),
+            ("12345678", 12345678.0, "12345678"),
+            ("no number", float("nan"), "nan"),
+        ],
     ),
-    Case("1263.4", NUMBER, "1263", partial(format_value, 1263.4, "1263")),
-    Case("0.0377", NUMBER, "three digits", partial(format_value, 0.03768, "0.0377")),
-    Case("12345678", NUMBER, "all digits", partial(format_value, 12345678.0, "12345678")),
-    Case("no number", NUMBER, "nan", partial(format_value, float("nan"), "nan")),
     Case("missing", SCORES, "no section", partial(lack_scores, None)),
-    Case(
-        "of an earlier version",
-        SCORES,
-        "no section",
-        partial(lack_scores, {"pose/sheared/edge_mm": np.ones(3)}),
-    ),
+    Case("of an earlier version", SCORES, "no section", partial(lack_scores, EARLIER)),
     Case("damaged", SCORES, "named, with a remedy", refuse_damage),
     Case("with poses", SCORES, "scatter, slide, depth", partial(show_scores, make_scores(), 6)),
-    Case(
-        "slides of unknown length",
-        SCORES,
-        "over depth alone",
-        partial(show_scores, make_scores(slide_mm=np.full(40, np.nan)), 4),
-    ),
+    Case("slides of unknown length", SCORES, "depth alone", partial(show_scores, LENGTHLESS, 4)),
     Case("-179 deg for 179 deg", SCORES, "2 deg off", turn_the_short_way),
     Case("run", "ablation.json", "its table, with the paper's", show_ablation),
     Case("without rows", "ablation.json", "named, with a remedy", refuse_ablation),
     Case("a table of 7 columns", "report: 400 px", "a hint", partial(count_hints, 7, 1)),
     Case("a table of 2 columns", "report: 400 px", "no hint", partial(count_hints, 2, 0)),
-    Case("first step compiles", "Progress", "no time left yet", partial(estimate, [216.0], "")),
-    Case(
-        "two steps that compile",
-        "Progress",
-        "the rate of later ones",
-        partial(estimate, [216, 90, 1, 1, 1, 1], ", 1 min 34 s left"),
-    ),
-    Case(
-        "RUN in its place",
-        RECONSTRUCT,
-        "no walks: exit 2",
-        partial(refuse_reconstruction, ("standard",), "holds no walks"),
-    ),
-    Case(
-        "--model",
-        RECONSTRUCT,
-        "unknown: exit 2",
-        partial(
-            refuse_reconstruction, ("--model", "standard"), "takes no --model; see `jaxunshear"
-        ),
-    ),
-    Case(
-        "a run that is none",
-        RECONSTRUCT,
-        "named: exit 2",
-        partial(refuse_reconstruction, ("nowhere",), "nowhere"),
-    ),
-    Case("the first", LIMITS, "within what networks know", partial(limit, {}, "")),
-    Case(
-        "8 mm deep",
-        LIMITS,
-        "outside",
-        partial(limit, {"pose": (*EDGE, 8.0)}, "depth 8 mm (learnt: 1 to 6)"),
-    ),
-    Case(
-        "a slide of 4 mm",
-        LIMITS,
-        "outside",
-        partial(limit, {"move": (0.0, -4.0)}, "slide along x or y 4 mm (learnt: 0 to 2.5)"),
-    ),
-    Case(
-        "20 mm beside",
-        LIMITS,
-        "outside",
-        partial(limit, {"pose": (-20.0, 0.0, 0.0, 3.0)}, "x -20 mm (learnt: -5 to 5)"),
-    ),
-    Case(
-        "yaw of 90 deg",
-        LIMITS,
-        "outside",
-        partial(limit, {"pose": (1.0, 0.0, 90.0, 3.0)}, "yaw 90 deg (learnt: -45 to 45)"),
+    Case("--model", "jaxunshear reconstruct", "unknown: exit 2", refuse_model),
+    *list_cases(
+        *(LIMITS, "what networks know", partial(partial, limit)),
+        [
+            ("the first", {}, ""),
+            ("8 mm deep", {"pose": (*EDGE, 8.0)}, "depth 8 mm (learnt: 1 to 6)"),
+            ("a slide of 4 mm", {"move": (0, -4.0)}, "slide along x or y 4 mm (learnt: 0 to 2.5)"),
+            ("20 mm beside", {"pose": (-20.0, 0, 0, 3.0)}, "x -20 mm (learnt: -5 to 5)"),
+            ("yaw of 90 deg", {"pose": (1.0, 0, 90.0, 3.0)}, "yaw 90 deg (learnt: -45 to 45)"),
+        ],
     ),
     Case("the tap itself", "explore: MS-SSIM", "1", compare_equal),
     Case("a bright dot too many", "explore: difference", "blue", colour_surplus),
-    Case("--port 0", "jaxunshear explore", "refused: exit 2", refuse_port),
 ]
 
 

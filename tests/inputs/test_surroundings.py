@@ -3,7 +3,6 @@
 import errno
 import io
 import os
-import pwd
 import shutil
 import signal
 import subprocess
@@ -36,7 +35,7 @@ from tests.helpers.ray_stand_in import make_ray
 from tests.inputs.cases import Case, run_each
 
 DEMO = Path(__file__).resolve().parents[2] / "experiments" / "demo.py"
-CUDA, MINUS_ONE, X64 = "JAX_PLATFORMS=cuda", "JAXUNSHEAR_DEVICES=-1", "JAX_ENABLE_X64=1"
+CUDA, MINUS_ONE = "JAX_PLATFORMS=cuda", "JAXUNSHEAR_DEVICES=-1"
 DOCTOR = ("doctor", ".", "--json", "a.json")
 ODD = "räc ξ"  # a name with a space and letters that ASCII has not
 
@@ -212,18 +211,6 @@ def check_terminal(escapes: bool, **variables: str) -> Callable[[Surroundings], 
     return check
 
 
-def check_nobody(around):
-    def know_nobody(uid):
-        raise KeyError(uid)
-
-    around.monkeypatch.setattr(pwd, "getpwuid", know_nobody)
-    for name in ("JAXUNSHEAR_CACHE", "XDG_CACHE_HOME", "HOME"):
-        around.monkeypatch.delenv(name, raising=False)
-    answer = around.command("run", DEMO)
-    assert (answer.code, answer.err.count("\n")) == (2, 1)
-    assert "set HOME, or JAXUNSHEAR_CACHE" in answer.err
-
-
 def check_no_rights(*words: object) -> Callable[[Surroundings], None]:
     def check(around):
         around.monkeypatch.setattr(os, "access", lambda *_, **__: False)
@@ -321,14 +308,10 @@ CASES = [
     Case("one core of many", "count_cores", "one", check_one_core),
     Case("JAX_PLATFORMS=cuda, no GPU", "run", "one line", check_variable("no NVIDIA GPU", CUDA)),
     Case("-1 devices", "run", "one line", check_variable("use a number of devices", MINUS_ONE)),
-    Case("JAX_ENABLE_X64", "run", "one line", check_variable("would give other results", X64)),
     Case("PYTHONWARNINGS=error", "run", "a note stays a note", check_notes("error")),
     Case("PYTHONWARNINGS=ignore", "run", "a note is shown", check_notes("ignore")),
     Case("TERM=dumb", "progress", "plain lines", check_terminal(False, TERM="dumb")),
-    Case(
-        "10 columns", "progress", "one line, cut", check_terminal(True, TERM="xterm", COLUMNS="10")
-    ),
-    Case("neither HOME nor a user's name", "run", "one line, exit 2", check_nobody),
+    Case("10 columns", "progress", "one line, cut", check_terminal(True, TERM="x", COLUMNS="10")),
     Case("a working folder without rights", "run", "one line", check_no_rights("run", DEMO)),
     Case("a folder without rights", "pins --out", "one line", check_no_rights("pins", ".")),
     Case("a folder without rights", "doctor --json", "one line", check_no_rights(*DOCTOR)),

@@ -20,7 +20,7 @@ from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.fit import BASE_EXPERIMENT, set_recordings
-from tests.inputs.cases import Case, run_each
+from tests.inputs.cases import Case, list_cases, run_each
 
 OLDER = [f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)]
 NEWER = [
@@ -308,19 +308,13 @@ def outline(text, encoding="utf-8"):
     return check
 
 
-def no_outline(data, words):
+def no_outline(text, words, name="mine.csv"):
     def check(root):
-        (root / "mine.csv").write_bytes(data)
+        (root / name).write_text(text)
         with pytest.raises(UserError, match=words):
-            read_outline(root / "mine.csv")
+            read_outline(root / name)
 
     return check
-
-
-def check_svg_pointer(root):
-    (root / "mine.svg").write_text(POINTER)
-    with pytest.raises(UserError, match="git lfs pull"):
-        read_outline(root / "mine.svg")
 
 
 def check_missing_row(root):
@@ -342,8 +336,16 @@ def check_doctor(root, command):
     assert "targets.csv, row 4: pose_2 is '1_5', no usable number" in answer.out
 
 
-def first_row(text):
-    return text.splitlines()[1]
+def mix_commas(text):
+    return semicolons(text).replace("1.png;0;-5", "1.png;0;-5,5", 1)
+
+
+def name_windows_folders(text):
+    return text.replace("image_1", r"C:\data\image_1")
+
+
+def capitalise(text):
+    return text.replace("pose_", "Pose_").replace("move_", "MOVE_")
 
 
 def semicolons(text):
@@ -377,132 +379,56 @@ CASES = [
     Case("names in NFC, table in NFD", READ, "labels", check_unicode("NFC")),
     Case("names in NFD, table in NFC", READ, "labels", check_unicode("NFD")),
     Case("pairs in NFD, a name in two folders", "fit --pairs", "pairs, exit 2", check_pairs),
-    Case("semicolons", READ, "labels", dialect(semicolons)),
-    Case("tabs", READ, "labels", dialect(lambda text: text.replace(",", "\t"))),
-    Case("sep=;", READ, "labels", dialect(lambda text: "sep=;\n" + semicolons(text))),
-    Case("sep=,", READ, "labels", dialect(lambda text: "sep=,\r\n" + text)),
-    Case("a comment first", READ, "labels", dialect(lambda text: "# monday\n\n" + text)),
-    Case("decimal commas", READ, "labels", dialect(decimal_commas)),
-    Case(
-        "Windows line ends and a BOM",
-        READ,
-        "labels",
-        dialect(lambda text: ("\ufeff" + text).replace("\n", "\r\n")),
-    ),
-    Case(
-        "capitals in the heading",
-        READ,
-        "labels",
-        dialect(lambda text: text.replace("pose_", "Pose_").replace("move_", "MOVE_")),
-    ),
-    Case(
-        "folders of Windows in names",
-        READ,
-        "labels",
-        dialect(lambda text: text.replace("image_1", r"C:\data\image_1")),
-    ),
-    Case(
-        "more rows than images",
-        READ,
-        "labels, a note",
-        dialect(
-            lambda text: text + first_row(text).replace("image_1", "image_99"),
-            ["row 14: there is no image 'image_99.png' in this folder"],
-        ),
-    ),
-    Case(
-        "a row twice",
-        READ,
-        "labels, a note",
-        dialect(lambda text: text + first_row(text), ["row 14: image_1.png has the same row"]),
+    *list_cases(
+        *(READ, "labels", dialect),
+        [
+            ("semicolons", semicolons),
+            ("tabs", lambda text: text.replace(",", "\t")),
+            ("sep=;", lambda text: "sep=;\n" + semicolons(text)),
+            ("sep=,", lambda text: "sep=,\r\n" + text),
+            ("a comment first", lambda text: "# monday\n\n" + text),
+            ("decimal commas", decimal_commas),
+            ("Windows line ends and a BOM", lambda text: ("\ufeff" + text).replace("\n", "\r\n")),
+            ("capitals in the heading", capitalise),
+            ("folders of Windows in names", name_windows_folders),
+        ],
     ),
     Case("fewer rows than images", READ, "unknown, a note", check_missing_row),
-    Case(
-        "underscore in a number",
-        READ,
-        "unknown, a note",
-        first_cell("1_5", "is '1_5'"),
+    *list_cases(
+        *(READ, "unknown, a note", first_cell),
+        [
+            ("underscore in a number", "1_5", "is '1_5'"),
+            ("Arabic digits", "\u0661", "pose_2 is"),
+            ("thousands separator", '"1,234"', "'1,234'"),
+        ],
     ),
-    Case(
-        "Arabic digits",
-        READ,
-        "unknown, a note",
-        first_cell("\u0661", "pose_2 is"),
-    ),
-    Case(
-        "thousands separator",
-        READ,
-        "unknown, a note",
-        first_cell('"1,234"', "'1,234'"),
-    ),
-    Case(
-        "inf",
-        READ,
-        "unknown, a note",
-        first_cell("inf", "is 'inf'"),
-    ),
-    Case(
-        "an empty cell",
-        READ,
-        "unknown, a note",
-        first_cell("", "is empty"),
-    ),
-    Case(
-        "two rows that differ",
-        READ,
-        "unknown, a note",
-        unknown(lambda text: text + first_row(text).replace(",-5,", ",-4,"), "neither is used"),
-    ),
-    Case(
-        "points and commas in numbers",
-        READ,
-        "unknown, a note",
-        unknown(lambda text: semicolons(text).replace("1.png;0;-5", "1.png;0;-5,5", 1), "'-5,5'"),
-    ),
-    Case(
-        "UTF-16",
-        READ,
-        "refused, a note",
-        refused(lambda text: text.encode("utf-16"), "is not UTF-8 text"),
-    ),
-    Case("an empty table", READ, "refused, a note", refused(lambda text: "", "is empty")),
-    Case(
-        "a pointer of Git LFS",
-        READ,
-        "refused, a note",
-        refused(lambda text: POINTER, "git lfs pull"),
-    ),
-    Case(
-        "no heading",
-        READ,
-        "refused, a note",
-        refused(lambda text: text.partition("\n")[2], "has no heading"),
-    ),
-    Case(
-        "a column twice",
-        READ,
-        "refused, a note",
-        refused(lambda text: text.replace("pose_2", "pose_1"), "names column 'pose_1' twice"),
+    Case("points and commas in numbers", READ, "unknown, a note", unknown(mix_commas, "'-5,5'")),
+    *list_cases(
+        *(READ, "refused, a note", refused),
+        [
+            ("a pointer of Git LFS", lambda text: POINTER, "git lfs pull"),
+            ("no heading", lambda text: text.partition("\n")[2], "has no heading"),
+        ],
     ),
     Case("underscore in a number", "doctor", "exit 0, a line", check_doctor),
-    Case("a BOM", "read_outline", "points", outline("x,y\n" + SQUARE, "utf-8-sig")),
-    Case("no heading", "read_outline", "points", outline(SQUARE)),
-    Case("head y,x", "read_outline", "points", outline("y_mm;x_mm\n" + SWAPPED.replace(",", ";"))),
-    Case("a comment, then x,y", "read_outline", "points", outline("# mine\nx,y\n" + SQUARE)),
-    Case(
-        "underscore in a number",
-        "read_outline",
-        "refused",
-        no_outline(SQUARE.replace("20,0", "2_0,0").encode(), "line 2: '2_0,0' is not"),
+    *list_cases(
+        *("read_outline", "points", outline),
+        [
+            ("a BOM", "x,y\n" + SQUARE, "utf-8-sig"),
+            ("no heading", SQUARE),
+            ("head y,x", "y_mm;x_mm\n" + SWAPPED.replace(",", ";")),
+            ("a comment, then x,y", "# mine\nx,y\n" + SQUARE),
+        ],
     ),
-    Case("an empty file", "read_outline", "refused", no_outline(b"", "the file is empty")),
-    Case(
-        "a pointer of Git LFS",
-        "read_outline",
-        "refused",
-        no_outline(POINTER.encode(), "git lfs pull"),
+    *list_cases(
+        *("read_outline", "refused", no_outline),
+        [
+            ("underscore in a number", SQUARE.replace("20,0", "2_0,0"), "line 2: '2_0,0' is not"),
+            ("an empty file", "", "the file is empty"),
+            ("a pointer of Git LFS", POINTER, "git lfs pull"),
+            ("a pointer called svg", POINTER, "git lfs pull", "mine.svg"),
+        ],
     ),
-    Case("a pointer called svg", "read_outline", "refused", check_svg_pointer),
 ]
 
 

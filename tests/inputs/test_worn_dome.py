@@ -26,7 +26,7 @@ from jaxunshear.perception.pin_track import PinTrack
 from jaxunshear.perception.pin_tracking import track_images, track_pins
 from jaxunshear.perception.worn_dome import find_lost_pins, track_worn_pins
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
-from tests.inputs.cases import Case, run_each
+from tests.inputs.cases import Case, list_cases, run_each
 
 SIZE, FRAMES = 128, 12
 INNER, RIM = 60, 320  # pins of TACTIP_331
@@ -182,10 +182,11 @@ def leaves_sound_dome(place: Place) -> None:
 
 
 def ends_with_2(
-    *words: str, message: str, change: Callable = lambda image: image
+    message: str, without: str, change: Callable = lambda image: image
 ) -> Callable[[Place], None]:
     def check(place: Place) -> None:
         folder = save(place.folder / "frames", change)
+        words = ("--without", without) if without else ()
         answer = place.command("pins", folder, *words, "--out", place.folder / "out")
         assert answer.code == 2 and message in answer.err.splitlines()[-1]
         assert not (place.folder / "out").exists()
@@ -307,45 +308,34 @@ def refuses_number(place: Place) -> None:
 
 CASES = [
     Case("no pin lost", "track", "as usual, to the bit", leaves_sound_dome),
-    Case("one inner pin lost", "track", "sure and right", sees(TACTIP_331, (INNER,))),
-    Case("one pin of the rim lost", "track", "sure and right", sees(TACTIP_331, (RIM,))),
-    Case("three pins lost", "track", "sure and right", sees(TACTIP_331, (3, INNER, 200))),
-    Case("2 % lost", "track", "sure and right", sees(TACTIP_331, choose_lost(0.02))),
-    Case("5 % lost", "track", "sure and right", sees(TACTIP_331, choose_lost(0.05))),
-    Case(
-        "5 % lost, 2 % dust",
-        "track",
-        "sure and right",
-        sees(TACTIP_331, choose_lost(0.05), scatter_dust(7)),
+    *list_cases(
+        *("track", "sure and right", sees),
+        [
+            ("one inner pin lost", TACTIP_331, (INNER,)),
+            ("one pin of the rim lost", TACTIP_331, (RIM,)),
+            ("three pins lost", TACTIP_331, (3, INNER, 200)),
+            ("2 % lost", TACTIP_331, choose_lost(0.02)),
+            ("5 % lost", TACTIP_331, choose_lost(0.05)),
+            ("5 % lost, 2 % dust", TACTIP_331, choose_lost(0.05), scatter_dust(7)),
+            ("2 % dust", TACTIP_331, (), scatter_dust(7)),
+            ("127 pins, 5 % lost", TACTIP_127, choose_lost(0.05, 1, 127)),
+            ("one of 127 pins lost", TACTIP_127, (30,)),
+        ],
     ),
-    Case("2 % dust", "track", "sure and right", sees(TACTIP_331, (), scatter_dust(7))),
-    Case(
-        "127 pins, 5 % lost", "track", "sure and right", sees(TACTIP_127, choose_lost(0.05, 1, 127))
-    ),
-    Case("one of 127 pins lost", "track", "sure and right", sees(TACTIP_127, (30,))),
     Case("a third lost", "track", "not sure", refuses(lambda: draw_worn(lost=choose_lost(0.33)))),
-    Case(
-        "a region lost",
-        "track",
-        "not sure",
-        refuses(lambda: draw_worn(lost=tuple(range(1, 37)))),
-    ),
+    Case("a region lost", "track", "not sure", refuses(lambda: draw_worn(lost=range(1, 37)))),
     Case("dots without order", "track", "not sure", refuses(lambda: scramble(draw_worn()))),
     Case("2 % lost in all frames", "find_pins", "found, 95 % sure, none wrong", finds_lost(0.02)),
     Case("5 % lost, 2 % dust", "find_pins", "found, 95 % sure, none wrong", finds_lost(0.05, 7)),
     Case("a pin named as lost", "find_pins", "it has no place, others have", names_lost),
     Case("a number that no pin has", "find_pins", "error: numbers 0 to 330", refuses_number),
-    Case(
-        "--without that is no number",
-        "pins",
-        "exit code 2, one line",
-        ends_with_2("--without", "twelve", message="--without twelve: give numbers of pins"),
-    ),
-    Case(
-        "--without a pin that is not there",
-        "pins",
-        "exit code 2, one line",
-        ends_with_2("--without", "400", message="--without 400: pins have numbers"),
+    *list_cases(
+        *("pins", "exit code 2, one line", ends_with_2),
+        [
+            ("--without no number", "--without twelve: give numbers of pins", "twelve"),
+            ("--without a pin that is not there", "--without 400: pins have numbers", "400"),
+            ("dark frames", "too dark", "", hide(0)),
+        ],
     ),
     Case("a pin named as lost", "networks over pins", "it is missing", leaves_out_of_model),
     Case("lost pins", "networks", "filled from their neighbours", fills_lost),
@@ -355,19 +345,18 @@ CASES = [
         for share, contrast in (("half", 1 / 2), ("a third", 1 / 3), ("a fifth", 1 / 5))
         for kind, change in (("dark", dim(contrast, 0)), ("light", dim(contrast, 255)))
     ),
-    Case("dark frames", "doctor", "too dark", says("too dark", hide(0))),
-    Case("grey frames", "doctor", "too little contrast", says("too little contrast", hide(200))),
+    *list_cases(
+        *("doctor", "the reason", says),
+        [
+            ("dark frames", "too dark", hide(0)),
+            ("grey frames", "too little contrast", hide(200)),
+            ("overexposed frames", "overexposed", scale(9.0)),
+            ("blurred frames", "blurred", blur),
+            ("a sensor of 13 pins", "about 13 pins", show_tacpad),
+        ],
+    ),
     Case("dark frames", "unshear", "error: too dark", is_named("too dark", hide(0))),
     Case("blurred frames", "unshear", "error: blurred", is_named("blurred", blur)),
-    Case(
-        "dark frames",
-        "pins",
-        "exit code 2, one reason",
-        ends_with_2(message="too dark", change=hide(0)),
-    ),
-    Case("overexposed frames", "doctor", "overexposed", says("overexposed", scale(9.0))),
-    Case("blurred frames", "doctor", "blurred", says("blurred", blur)),
-    Case("a sensor of 13 pins", "doctor", "too few pins", says("about 13 pins", show_tacpad)),
     Case("frames at an angle of 90 deg", "doctor", "a command", is_advised(turn, "pins")),
     Case("soft frames in usual light", "doctor", "a command", is_advised(scale(0.7), "pins")),
     Case("a binary frame", "explain_exposure", "nothing is wrong", explains_nothing),

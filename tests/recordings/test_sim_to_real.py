@@ -13,10 +13,9 @@ import pytest
 
 from jaxunshear import load_model
 from jaxunshear.config import targets
-from jaxunshear.config.data import PairedData, PoseData, Ranges, Recorded
+from jaxunshear.config.data import PairedData, Ranges, Recorded
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.networks import PinPoseNet, PinUnshear, UnshearNet
-from jaxunshear.config.sensor import TACTIP_127, Preprocess
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Preprocess
 from jaxunshear.data.recorded_contacts import read_test_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import sim_to_real
@@ -34,7 +33,7 @@ from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.touch import Touch
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 from tests.helpers.commands import succeed
-from tests.helpers.models import change_weights, init, write_run
+from tests.helpers.models import write_pin_weights
 
 RNG = np.random.default_rng(0)
 
@@ -170,31 +169,8 @@ TARGETS = targets.make_range_targets(("edge_mm", "edge_deg:circle", "depth_mm"),
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
-    """Make random networks over 127 simulated pins: their answer depends on the pins alone."""
-    seen = Preprocess(size=made.SIZE)
-    experiment = Experiment(
-        "skin",
-        "none",
-        sensor=TACTIP_127,
-        targets=tuple(target.name for target in TARGETS),
-        unshear=UnshearNet(size=made.SIZE, input="pins"),
-        paired=PairedData(preprocess=seen),
-        pose=PoseData(preprocess=seen),
-    )
-    nets = {
-        "disentangled": PinUnshear(hidden=16, layers=1),
-        "posenet": PinPoseNet(hidden=16, layers=1),
-    }
-
-    def shake(x):
-        return x + np.random.default_rng(1).normal(0, 0.2, x.shape).astype(x.dtype)
-
-    variables = {}
-    for seed, (name, net) in enumerate(nets.items()):
-        fresh = init(net, seed, TARGETS if name == "posenet" else (), made.rest_px())
-        variables[name] = change_weights(fresh, shake)
     folder = tmp_path_factory.mktemp("weights")
-    return write_run(folder, experiment, nets, variables, TARGETS)
+    return write_pin_weights(folder, TARGETS, made.rest_px(), made.SIZE)
 
 
 def test_images_are_judged_by_the_camera_s_own_frame(weights, tmp_path):
@@ -270,10 +246,7 @@ def test_images_of_other_things_have_no_pose_in_python_unless_forced(weights, tm
 
 
 def test_folders_of_another_sensor_are_refused_by_name(command, weights, tmp_path):
-    from jaxunshear.config.sensor import TACTIP_331
-
-    other = made.write(
-        tmp_path / "other", *made.contacts(24, False, 0), sensor=TACTIP_331, size=128
-    )
+    contacts = made.contacts(24, False, 0)
+    other = made.write(tmp_path / "other", *contacts, sensor=TACTIP_331, size=128)
     answer = command("pose", other, "--model", weights)
     assert answer.code == 2 and "pins" in answer.err and answer.err.count("\n") == 1

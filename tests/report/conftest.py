@@ -158,7 +158,7 @@ class Reader(HTMLParser):
             self.text.append(data)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def read():
     def read(html):
         reader = Reader()
@@ -169,13 +169,13 @@ def read():
     return read
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def read_page(read):
     """The text of a page, single spaces between its words."""
     return lambda path: " ".join(" ".join(read(path.read_text()).text).split())
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def read_report(read_page):
     """`read_report(folder, results)` writes the report, of these results if given; its text."""
 

@@ -1,9 +1,12 @@
 """The page of recorded runs with made-up scores: images, pins, only taps or only slides."""
 
+import functools
 import itertools
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -22,7 +25,6 @@ from jaxunshear.evaluation.recorded_results import (
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
 from jaxunshear.files import to_builtins
 from jaxunshear.fit import BASE_EXPERIMENT
-from jaxunshear.report.report import write_report
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
 from jaxunshear.run import print_summary
@@ -131,9 +133,26 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     return results
 
 
-def test_of_taps_and_slides_all_is_reported(tmp_path, read_report):
-    results = make_run(tmp_path)
-    text = read_report(tmp_path)
+class Report(NamedTuple):
+    folder: Path
+    results: dict
+    text: str
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory, read_report):
+    """`report(pairing="nearest")` is the report of a run with these settings, written once."""
+
+    @functools.cache
+    def report(**settings):
+        folder = tmp_path_factory.mktemp("run")
+        return Report(folder, make_run(folder, **settings), read_report(folder))
+
+    return report
+
+
+def test_of_taps_and_slides_all_is_reported(report):
+    _, results, text = report()
     for kind, row in results["pose_mae"].items():
         for name, value in row.items():
             assert f"{value:.{3 if name.endswith('_mm') else 2}f}" in text, (kind, name)
@@ -158,15 +177,13 @@ def test_of_taps_and_slides_all_is_reported(tmp_path, read_report):
     assert not any(words in text for words in ("tap (truth)", "Contact quality", "shapes"))
 
 
-def test_a_network_is_held_against_learning_from_slides_directly(tmp_path, read_report):
-    make_run(tmp_path)
-    text = read_report(tmp_path).split("Slide by slide, ")[1]
+def test_a_network_is_held_against_learning_from_slides_directly(report):
+    text = report().text.split("Slide by slide, ")[1]
     assert "y worse (+0." in text and "z within chance (" in text and "Rz better (-0." in text
 
 
-def test_the_recordings_are_reported(tmp_path, read_report):
-    make_run(tmp_path, pairing="nearest")
-    text = read_report(tmp_path).split("The recordings")[1]
+def test_the_recordings_are_reported(report):
+    text = report(pairing="nearest").text.split("The recordings")[1]
     for words in (
         *("taps 400 51 24", "slides 400 51 24", "955, 2 of them left out", "99.3%"),
         *("in 7 they are not", "frame_9.png: cannot be read", "labels <b>lack</b> Rx"),
@@ -196,35 +213,31 @@ def test_a_run_of_an_earlier_version_was_tested_on_its_own_session(tmp_path, rea
         results["settings"]["paired"]["split"] = split
 
 
-def test_names_are_escaped(tmp_path):
-    make_run(tmp_path)
-    html = write_report(tmp_path).read_text()
+def test_names_are_escaped(report):
+    html = (report().folder / "report.html").read_text()
     assert "<script" not in html and "lack</b>" not in html
     name = "&lt;script&gt;alert(1)&lt;/script&gt;"
     assert html.count(name) >= 4  # folder, frame, command, settings
 
 
 @pytest.mark.parametrize(
-    ("pairing", "over"), [("rendered", False), ("nearest", False), ("pose_id", True)]
+    "settings", [{}, {"pairing": "nearest"}, {"pairing": "pose_id", "over": True}]
 )
-def test_the_papers_columns_are_of_its_own_quantities(tmp_path, read_report, pairing, over):
-    make_run(tmp_path, pairing=pairing, over=over)
-    text = read_report(tmp_path)
-    assert "class=real" not in (tmp_path / "report.html").read_text() and "tinted" not in text
+def test_the_papers_columns_are_of_its_own_quantities(report, settings):
+    folder, _, text = report(**settings)
+    assert "class=real" not in (folder / "report.html").read_text() and "tinted" not in text
     assert "22.20" not in text and "0.93 0.9" not in text
 
 
 @pytest.mark.parametrize("pairing", ["pose_id", "file"])
-def test_the_papers_likeness_stands_beside_that_to_recorded_taps(tmp_path, read_report, pairing):
-    make_run(tmp_path, pairing=pairing)
-    text = read_report(tmp_path)
+def test_the_papers_likeness_stands_beside_that_to_recorded_taps(report, pairing):
+    text = report(pairing=pairing).text
     shown = ("tinted columns", "overall paper", "MSE paper", "tap (truth)")
     assert all(words in text for words in shown) and "22.20" not in text
 
 
-def test_pins_are_reported_by_name_and_in_px_alone(tmp_path, read_report):
-    make_run(tmp_path, over=True)
-    text = read_report(tmp_path)
+def test_pins_are_reported_by_name_and_in_px_alone(report):
+    text = report(over=True).text
     part = text.split("Where the pins are")[1].split("The recordings")[0]
     assert "slides, unsheared (disentangled) 0.06" in part and "1.05" in part
     assert "mm" not in part and "missed" not in part
@@ -232,10 +245,10 @@ def test_pins_are_reported_by_name_and_in_px_alone(tmp_path, read_report):
         assert words in text
 
 
-def test_pins_found_in_images_are_counted(tmp_path, read_report):
+def test_pins_found_in_images_are_counted(tmp_path, report, read_report):
     results = make_run(tmp_path)
     title = "Where the pins are"
-    assert title not in read_report(tmp_path)  # none was followed for sure
+    assert title not in report().text  # none was followed for sure
     found = {"rms_px": 0.5, "rms_mm": None, "missed_per_image": 1.5, "extra_per_image": 2.5}
     results["pin_error"] = {"tap": found, "disentangled": found, "true_slide": {"rms_px": 1.0}}
     part = read_report(tmp_path, results).split(title)[1].split("The recordings")[0]
@@ -249,9 +262,8 @@ def test_pins_found_in_images_are_counted(tmp_path, read_report):
         ("posenet_sheared", "sheared_learnt", LEARNT, ("taps 400", "Slide by slide")),
     ],
 )
-def test_of_one_kind_alone_poses_are_reported(tmp_path, read_report, network, kind, note, absent):
-    results = make_run(tmp_path, networks=(network,), pairing="")
-    text = read_report(tmp_path)
+def test_of_one_kind_alone_poses_are_reported(report, network, kind, note, absent):
+    _, results, text = report(networks=(network,), pairing="")
     assert f"{results['pose_mae'][kind]['z_mm']:.2f} mm {note}" in text
     tested, lesson = {"tap": ("taps", "taps")}.get(kind, ("slides", "labelled slides"))
     assert f"out of training: 24 {tested} (same session, random split)." in text

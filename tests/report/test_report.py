@@ -130,9 +130,11 @@ def test_without_logs_and_times_the_rest_is_still_shown(bare_run, read_report):
     assert "no training logs" in text and "5 min 14 s" in text
 
 
-def test_the_page_says_how_edge_angles_err_where_the_edge_has_one_direction(bare_run, read_report):
+def test_edge_angles_are_also_given_where_the_edge_has_one_direction(
+    page, bare_run, read_page, read_report
+):
     folder, results = bare_run
-    assert "has one direction" not in read_report(folder)
+    assert "has one direction" not in read_page(page)
     spread = {"pose_mae": {"tap": {"edge_deg": [4.5, 5.6]}}}
     results["pose_smooth"] = {"pose_mae": {"tap": {"edge_deg": 5.04}}, "spread": spread}
     results["counts"]["test_smooth"] = 670
@@ -158,11 +160,11 @@ def test_nulls_are_shown_as_dashes(bare_run):
 @pytest.mark.parametrize(
     ("table", "by"), [("pose_by_stimulus", "shape"), ("pose_by_depth", "depth")]
 )
-def test_recovery_is_reported_by_shape_and_by_depth(bare_run, table, by):
+def test_recovery_is_reported_by_shape_and_by_depth(page, bare_run, table, by):
     folder, results = bare_run
     part, found = next((part, found) for part, found in results[table].items() if found)
     recovery = found["pose_recovery"]["disentangled"]["x_mm"]
-    html = write_report(folder).read_text()
+    html = page.read_text()
     reported = html.split(f"<summary>By {by}</summary>")[1].split("</details>")[0]
     assert f"recovery, by {by}" in reported
     assert f"<td>{recovery:.2f} <small>" in reported.split(part)[1].split("</tr>")[0]

@@ -174,12 +174,6 @@ def test_the_page_names_every_field(tmp_path):
     assert fields == set(re.findall(r"`(\w+)`", " ".join(first)))
 
 
-def test_images_go_to_a_folder(tmp_path):
-    _, lines = run(make_frames(dots(), dots()), images=tmp_path / "out")
-    assert lines[1]["image"].endswith("000001.png") and "image_png" not in lines[1]
-    assert np.asarray(Image.open(lines[1]["image"])).shape == (128, 128)
-
-
 def test_a_slow_robot_sees_the_newest_frame_and_the_rest_are_dropped():
     live = read_newest(frame_sources._play(make_frames(*[dots()] * 40), fps=200), "a folder")
     summary, lines = run(live, live=True, seconds=0.03)
@@ -207,12 +201,6 @@ def test_folders_are_read_in_order_with_torn_files_among_them(tmp_path):
     assert not source.is_live and not source.has_times
     assert [frame.name for frame in listed] == [f"image_{n}.png" for n in (1, 2, 3, 10)]
     assert listed[2].pixels is None and listed[2].problem
-
-
-@pytest.mark.parametrize("source", ["nowhere", "camera:x"])
-def test_sources_that_are_none(source):
-    with pytest.raises(UserError):
-        open_source(source, Preprocess())
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt(), SourceLostError("camera:0 gave no frame")])
