@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.targets import SIMULATED_FIELDS, Target, make_range_targets, read_true_values
+from jaxunshear.config.targets import SIMULATED_FIELDS, make_range_targets, read_true_values
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.errors import UserError
@@ -64,7 +64,9 @@ def read_splits(
     splits = {}
     for split, most in MOST_SLIDES.items():
         batch = _read_labelled_slides(examples.reader, split, most, networks[""].modality.sheared)
-        quantities = {("pose", target.name): _scale_pose(target, batch) for target in targets}
+        quantities: dict[Quantity, np.ndarray] = {}
+        for target in targets:
+            quantities["pose", target.name] = target.scale(batch[target.field][:, target.column])
         for name, value in read_true_values(examples.slide_targets, batch).items():
             quantities["slide", name] = value[:, None]
         features = {"pins": compute_pin_features(batch[PINS.sheared])}
@@ -97,14 +99,6 @@ def _read_labelled_slides(reader: Reader, split: str, most: int, inputs: str) ->
     return reader.take(
         split, rows, tuple(dict.fromkeys((PINS.sheared, inputs, *LABELS, *optional)))
     )
-
-
-def _scale_pose(target: Target, batch: Batch) -> np.ndarray:
-    value = batch[target.field][:, target.column].astype(np.float64)
-    if target.is_circular:
-        angle = np.radians(value)
-        return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return np.stack([(value - target.centre) / target.half_range], axis=-1)
 
 
 def estimate_slides(splits: Mapping[str, ProbeSplit]) -> list[Json]:
