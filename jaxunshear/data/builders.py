@@ -153,16 +153,6 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
     """Simulates the contacts of a set, or continues to."""
 
     VERSION = tfds.core.Version(SimulatedData.version)
-    RELEASE_NOTES: ClassVar[dict[str, str]] = {
-        "2.0.0": "Pins as levers; contact to 60 deg from the apex.",
-        "2.1.0": "Presses in increments of 3 mm.",
-        "2.3.0": "Polygons without a ridge along rows through a corner.",
-        "2.4.0": "Pairs drift too.",
-        "3.0.0": "Exact distances from every shape's outline; slides along x, y or both; "
-        "the fitted sensor but for tiny and demo; a pose's split is its own: "
-        "by seed, stimulus and number, whatever the set's size.",
-        "1.0.0": "First release.",
-    }
     engine: SimulationEngine | None = None  # tests put a fast stand-in for the simulator here
 
     def _split_generators(
@@ -244,7 +234,6 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
 
     iterate_examples = staticmethod(recorded_frames.iterate_examples)
     VERSION = tfds.core.Version(Recorded.version)
-    RELEASE_NOTES: ClassVar[dict[str, str]] = {"1.0.0": "First release."}
     MANUAL_DOWNLOAD_INSTRUCTIONS = (
         "The folders of taps and slides that the settings name, in one of the layouts of README.md."
     )
