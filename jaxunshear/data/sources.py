@@ -28,6 +28,7 @@ from jaxunshear.config.targets import (
     make_range_targets,
     make_slide_targets,
 )
+from jaxunshear.config.types import claim_name
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
@@ -282,24 +283,17 @@ Source = TypeVar("Source", bound=type[DataSource])
 
 
 def register_source(settings: type[SourceSettings]) -> Callable[[Source], Source]:
-    """Register a class as the data source of experiments whose `paired` is of type `settings`."""
+    """Register a class as the data source of experiments whose `paired` is of type `settings`.
+
+    The class has a function at least. Raises UserError if other settings have this name.
+    """
 
     def register(source: Source) -> Source:
+        functions = (each for each in vars(source).values() if isinstance(each, FunctionType))
+        file = next(functions).__code__.co_filename
+        claim_name("data source", settings.__name__, SourceSettings.registered, file)
         settings.source = source
         SourceSettings.registered[settings.__name__] = settings
         return source
 
     return register
-
-
-def list_source_files() -> list[str]:
-    """List the experiment files that have registered sources; processes of a sweep run them."""
-    sources = [kind.source for kind in SourceSettings.registered.values()]
-    functions = [
-        value
-        for source in sources
-        if not isinstance(source, str)
-        for value in vars(source).values()
-        if isinstance(value, FunctionType)
-    ]
-    return sorted({function.__code__.co_filename for function in functions})
