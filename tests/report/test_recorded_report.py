@@ -11,7 +11,7 @@ import pytest
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.targets import make_label_targets
 from jaxunshear.evaluation.contact_scores import ContactScores
-from jaxunshear.evaluation.evaluate import encode_montage
+from jaxunshear.evaluation.evaluate import collect_montage
 from jaxunshear.evaluation.measurements import round_values
 from jaxunshear.evaluation.recorded_evaluation import convert_montage_labels
 from jaxunshear.evaluation.recorded_results import (
@@ -122,8 +122,8 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     results = round_values(results)
     (folder / "results.json").write_text(json.dumps(results))
     if slides and pairing:
-        montage = encode_montage(("recorded",), convert_montage_labels(slides))
-        (folder / "montage.npz").write_bytes(montage)
+        montage = collect_montage(("recorded",), convert_montage_labels(slides))
+        np.savez(folder / "montage.npz", **montage)
     (folder / "posenet").mkdir()
     line = {"epoch": 1, "train_seconds": 3.0, "train": {"pose": 0.2}}
     line["validation"] = {"pose": 0.1, "y_mm": 0.3}
