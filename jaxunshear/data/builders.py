@@ -140,13 +140,13 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
     ) -> Iterator[tuple[str, dict]]:
         yield from self.iterate_examples(self.builder_config.settings, contacts, paths, split)
 
-    def _set_metadata(self, counts: dict, **more: object) -> None:
+    def _set_metadata(self, **facts: object) -> None:
         versions = {
             name: importlib.metadata.version(name)
             for name in ("jax", "numpy", "tensorflow-datasets")
         }
         described = configs.describe_set(self.builder_config.settings, self.builder_config.sensor)
-        self.info.metadata.update(**described, counts=counts, versions=versions, **more)
+        self.info.metadata.update(**described, versions=versions, **facts)
 
 
 class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
@@ -170,7 +170,7 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
                     f"{self.name}/{self.builder_config.name}: no contact of split '{split}' "
                     "converged: draw more poses"
                 )
-        self._set_metadata(counts)
+        self._set_metadata(counts=counts)
         return {split: self._generate_examples(samples, paths, split) for split in SPLITS}
 
 
@@ -265,6 +265,10 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
         contacts = self._contacts
         frame = find_sensor_frame(contacts, settings, sensor)
         paths = recorded_frames.prepare_chunks(contacts, settings, frame, self._unfinished_folder)
-        counts, description = recorded_frames.summarise_recordings(contacts, frame, paths)
-        self._set_metadata(counts, **description)
+        description = recorded_frames.summarise_recordings(contacts, frame.describe(), paths)
+        for split, count in description["counts"]["written"].items():
+            if not count:
+                first = description["counts"]["dropped_frames"][:1]
+                raise UserError(f"no frame of split '{split}' can be read; the first: {first}")
+        self._set_metadata(**description)
         return {split: self._generate_examples(contacts, paths, split) for split in SPLITS}

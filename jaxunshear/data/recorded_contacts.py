@@ -255,8 +255,6 @@ def _pair_by_table(contacts: RecordedContacts, table: Path) -> RecordedContacts:
         pose_id[slide] = pose_id[tap] = tap
         if not np.isfinite(pose[slide]).all():
             pose[slide] = pose[tap]
-    if not (pose_id >= 0).any():
-        raise UserError(f"{table} pairs nothing")
     return contacts._replace(pose_id=pose_id, pose=pose, paired_by_table=True)
 
 

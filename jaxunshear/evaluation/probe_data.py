@@ -13,12 +13,12 @@ from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.codes import CodeNetwork, split_by_slip
-from jaxunshear.evaluation.intervals import LEVEL, compute_interval, number_poses, resample_means
+from jaxunshear.evaluation.intervals import LEVEL, compute_interval, resample_means
 from jaxunshear.evaluation.pose_estimators import compute_pin_features
 from jaxunshear.evaluation.probes import fit_gaussian, prepare_task
 from jaxunshear.files import Json
 from jaxunshear.models.modality import PINS
-from jaxunshear.selection import select_evenly
+from jaxunshear.selection import number_poses, select_evenly
 
 MOST_SLIDES = {"train": 4000, "validation": 2000, "test": 2000}  # evenly chosen
 LABELS = ("pose", "move", "stimulus", "pose_id")
