@@ -22,6 +22,7 @@ from jaxunshear.config.data import DataSettings, PairedData, PoseData, SourceSet
 from jaxunshear.config.experiment import Experiment, list_further_tests
 from jaxunshear.config.network_config import NetworkConfig, takes_taps
 from jaxunshear.config.targets import (
+    SIMULATED_FIELDS,
     Targets,
     make_label_targets,
     make_move_targets,
@@ -191,15 +192,9 @@ class DataSource:
         """Read what the frames of a real sensor have in common, which a run keeps."""
         return None
 
-    def open_stored(self, data_dir: Path, settings: DataSettings | None = None) -> "RecordedSet":
-        """Open the recorded set. Raises UserError if there is none, or it is damaged."""
-        raise UserError(f"'{self.experiment.name}' is not about recordings")
-
-    def open_pairs(
-        self, stored: "RecordedSet", targets: Targets, helpers: Helpers, images: bool
-    ) -> "Reader":
-        """Open recorded slides with the taps that they are paired with. Raises UserError."""
-        raise UserError(f"'{self.experiment.name}' is not about recordings")
+    def make_pose_targets(self, data_dir: Path) -> Targets:
+        """Make the targets of all components of the pose that the data vary. Raises UserError."""
+        raise UserError(f"'{self.experiment.name}' has no pins, which probes compare codes with")
 
 
 class SimulatedSource(DataSource):
@@ -261,6 +256,9 @@ class SimulatedSource(DataSource):
             reader.length("train"),
             slide_targets=make_slide_targets(settings.ranges) if is_paired else (),
         )
+
+    def make_pose_targets(self, data_dir: Path) -> Targets:
+        return make_range_targets((), self.settings.ranges, tuple(SIMULATED_FIELDS))
 
     def open_set(self, settings: DataSettings, data_dir: Path) -> "SetReader":
         """Open a set. Raises UserError if it is missing or was made with other settings."""

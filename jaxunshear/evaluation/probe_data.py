@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.targets import SIMULATED_FIELDS, make_range_targets, read_true_values
+from jaxunshear.config.targets import read_true_values
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.errors import UserError
@@ -56,11 +55,7 @@ def read_splits(
     Slides of the pose are scaled by their range; slides are in mm and deg, simulated ones in the
     sensor's frame, recorded ones in the frame of their labels.
     """
-    # all components of the pose that the data vary
-    if isinstance(experiment.paired, PairedData):
-        targets = make_range_targets((), experiment.paired.ranges, tuple(SIMULATED_FIELDS))
-    else:
-        targets = open_source(experiment).open_stored(data_dir).make_targets(())
+    targets = open_source(experiment).make_pose_targets(data_dir)
     splits = {}
     for split, most in MOST_SLIDES.items():
         batch = _read_labelled_slides(examples.reader, split, most, networks[""].modality.sheared)
