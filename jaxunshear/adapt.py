@@ -23,10 +23,8 @@ from jaxunshear.config.serialization import check_finished_run, load_task_settin
 from jaxunshear.config.targets import read_true_values
 from jaxunshear.data.pairing import take_rows
 from jaxunshear.data.reader import Batch
-from jaxunshear.data.recorded_contacts import compute_digest, read_test_contacts
-from jaxunshear.data.recorded_frames import UnstoredSet, prepare_chunks
-from jaxunshear.data.recorded_set import RecordedSet
-from jaxunshear.data.sensor_frame import parse_frame
+from jaxunshear.data.recorded_contacts import compute_digest
+from jaxunshear.data.recorded_set import read_other_recordings
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_object, write_json
@@ -110,17 +108,15 @@ def _read_taps(settings: Recorded, run: Path, taps: Path, data_dir: Path) -> "La
     """Read labelled taps whose pins are identified, and the digest of their folder."""
     digest = compute_digest((str(taps),))
     settings = replace(settings, tap_folder=str(taps), slide_folder="", digest=digest, pairs="")
-    contacts, stored_frame = read_test_contacts(settings), read_object(run / FRAME)
     folder = Path(data_dir) / ".partial" / f"adapt-{digest}"
-    paths = prepare_chunks(contacts, settings, parse_frame(stored_frame), folder, f"read {taps}")
-    stored = RecordedSet(settings, UnstoredSet(contacts, paths, stored_frame))
+    stored = read_other_recordings(settings, read_object(run / FRAME), folder)
     rows = stored.read_labelled_taps("test")
     shutil.rmtree(folder, ignore_errors=True)
     rows = take_rows(rows, rows["sure"] == 1)
     if len(rows["pose"]) < MIN_TAPS:
         raise UserError(
-            f"{taps}: of {len(contacts.files)} taps {len(rows['pose'])} have a label and pins that "
-            f"are identified: record at least {MIN_TAPS}"
+            f"{taps}: of {stored.metadata['counts']['contacts']} taps {len(rows['pose'])} have a "
+            f"label and pins that are identified: record at least {MIN_TAPS}"
         )
     return LabelledTaps(rows, digest)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Preprocess, Sensor
-from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
+from jaxunshear.data.labels import name_labels
 from jaxunshear.data.recorded_contacts import MIN_MOVE
 from jaxunshear.data.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.data.sensor_frame import LARGEST_PX, MIN_FRAMES
@@ -180,14 +180,11 @@ def _check_labels(recordings: Recordings, rows: list[int]) -> LabelCheck:
     has_pose, has_move = np.isfinite(poses).all(axis=1), np.isfinite(moves).all(axis=1)
     is_slide = (np.abs(moves) > MIN_MOVE).any(axis=1)
     ranges = {}
-    for name, (field, column) in (RECORDED_FIELDS | LABELLED_SLIDES).items():
-        values = poses[has_pose, column] if field == "pose" else moves[has_move, column]
-        if len(values) and np.ptp(values) > MIN_MOVE:
-            ranges[name] = (float(values.min()), float(values.max()))
-    for name, numbers in recordings.others.items():
-        values = numbers[rows][np.isfinite(numbers[rows])]
-        if len(values) and np.ptp(values) > 0:
-            ranges[name] = (float(values.min()), float(values.max()))
+    others = {name: values[rows] for name, values in recordings.others.items()}
+    for name, values in name_labels(poses, moves, others).items():
+        known = values[np.isfinite(values)]
+        if len(known) and np.ptp(known) > (0 if name in others else MIN_MOVE):
+            ranges[name] = (float(known.min()), float(known.max()))
     complete = has_pose & has_move
     taps, slides = int((complete & ~is_slide).sum()), int((complete & is_slide).sum())
     return LabelCheck(int(has_pose.sum()), taps, slides, ranges)

@@ -152,17 +152,22 @@ def _list_existing(run: _Run, get_folder: Callable[..., Path]) -> list[bool]:
     return [get_folder(settings, sensor, run.data).exists() for settings in sets]
 
 
-def _train(run: _Run, network: str) -> bool:
-    from jaxunshear.training.checkpoint import SUMMARY, compute_weights_digest, has_model, load_best
+def _has_training(run: _Run, network: str) -> bool:
+    """Return whether a network is trained to the end, from this data. Raises UserError."""
+    from jaxunshear.training.checkpoint import SUMMARY, check_checkpoints
 
-    experiment, folder = run.experiment, run.folder / network
-    if (folder / SUMMARY).exists():
-        if not has_model(folder):
-            raise UserError(
-                f"{folder} has lost its checkpoints: delete that folder, then run the same command"
-            )
-        check_origin(experiment, network, run.folder)
+    folder = run.folder / network
+    if not (folder / SUMMARY).exists():
         return False
+    check_checkpoints(folder)
+    check_origin(run.experiment, network, run.folder)
+    return True
+
+
+def _train(run: _Run, network: str) -> bool:
+    if _has_training(run, network):
+        return False
+    from jaxunshear.training.checkpoint import compute_weights_digest, load_best
     from jaxunshear.training.examples import (
         FRAME,
         add_single_contacts,
@@ -174,6 +179,7 @@ def _train(run: _Run, network: str) -> bool:
     from jaxunshear.training.task_factory import make_task
     from jaxunshear.training.trainer import Provenance, TrainingData, train
 
+    experiment, folder = run.experiment, run.folder / network
     source, config = open_source(experiment), resolve_network(experiment, network)
     training, seed = config.training, config.seed
     all_examples = open_examples(experiment, network, run.data, run.folder)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.compare import compare_scores, compare_settings, note_obstacles, read_runs
-from jaxunshear.evaluation.evaluate import encode_scores
+from jaxunshear.evaluation.evaluate import collect_scores
 from jaxunshear.files import write_json
 from jaxunshear.progress import format_duration
 from tests.report.conftest import Reader, made_up_gathered, make_run
@@ -36,7 +36,7 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compared") / "first"
     folder.mkdir()
     make_run(folder)
-    (folder / "scores.npz").write_bytes(encode_scores(made_up_gathered()))
+    np.savez(folder / "scores.npz", **collect_scores(made_up_gathered()))
     with np.load(folder / "scores.npz") as file:
         return folder, dict(file)
 

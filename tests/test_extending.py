@@ -15,12 +15,12 @@ from jaxunshear.config import networks as names
 from jaxunshear.config.configs import describe_set
 from jaxunshear.config.data import SourceSettings
 from jaxunshear.config.fields import override_fields
-from jaxunshear.config.load import list_registering_files, load_experiment
+from jaxunshear.config.load import load_experiment
 from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.networks import UnshearNet
 from jaxunshear.config.rules import validate
 from jaxunshear.config.serialization import from_json, to_json
-from jaxunshear.data.sources import list_source_files
+from jaxunshear.config.types import REGISTERED, list_registering_files
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.network_outputs import load_run
 from jaxunshear.models import registry as networks
@@ -50,6 +50,7 @@ TABLES = (
     networks._FUNCTIONS,
     sensor.LAYOUTS,
     SourceSettings.registered,
+    REGISTERED,
 )
 LISTS = (names.UNSHEARING,)
 
@@ -237,7 +238,7 @@ def test_networks_learn_from_a_data_source_of_an_experiment_file(experiment_file
     experiment = override_fields(load_experiment(path), words)
     validate(experiment)
     assert from_json(to_json(experiment)) == experiment
-    assert list_source_files() == [str(path)]
+    assert list_registering_files() == [str(path)]
     for network, images in (("disentangled", {"canonical", "sheared"}), ("posenet", {"image"})):
         examples = open_examples(experiment, network, tmp_path, tmp_path)
         _, fields = make_task(experiment, network, examples, tmp_path)

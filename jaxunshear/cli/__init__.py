@@ -36,18 +36,8 @@ GROUPS = {  # of `jaxunshear --help`
     "try": ("demo-data", "show"),
     "use": ("unshear", "pose", "pins", "stream", "export"),
     "train": (
-        *(
-            "doctor",
-            "layout",
-            "fit",
-            "run",
-            "data",
-            "train",
-            "evaluate",
-            "report",
-            "adapt",
-            "release",
-        ),
+        *("doctor", "layout", "fit", "run", "data"),
+        *("train", "evaluate", "report", "adapt", "release"),
     ),
     "simulate": (
         *("explore", "servo", "reconstruct", "geometry", "validate", "calibrate"),

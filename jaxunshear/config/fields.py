@@ -154,12 +154,7 @@ def _suggest_field(name: str, kinds: list[str]) -> str:
     ours = USUAL_NAMES.get(own.lower().replace("-", "_"), own)
     last = [kind for kind in kinds if kind.rpartition(".")[2] == ours]
     last = [kind for kind in last if kind == f"{group}.{ours}"] or last
-    near = (
-        (last[:3] if ours != own else [])
-        or difflib.get_close_matches(name, kinds, n=1, cutoff=0.7)
-        or last[:3]
-        or difflib.get_close_matches(name, kinds, n=1)
-    )
+    near = last[:3] or difflib.get_close_matches(name, kinds, n=1)
     if not near:
         return ": see `jaxunshear run --help`"
     return f": did you mean {' or '.join('--' + kind for kind in near)}?"

@@ -9,9 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.losses import LOSSES
-from jaxunshear.config.networks import REGISTRY
-from jaxunshear.config.sensor import LAYOUTS, PACKAGE_LAYOUTS
 from jaxunshear.config.types import check_types
 from jaxunshear.errors import UserError
 
@@ -58,14 +55,6 @@ def run_file(path: Path) -> dict[str, Any]:
             return runpy.run_path(str(path), run_name="jaxunshear_experiment")
     except (Exception, SystemExit) as error:
         raise UserError(f"experiment file {path} {_describe_failure(path, error)}") from error
-
-
-def list_registering_files() -> list[str]:
-    """List the experiment files that have registered losses, layouts or networks."""
-    functions = [spec.compute for spec in LOSSES.values() if spec.compute]
-    functions += [place for name, place in LAYOUTS.items() if name not in PACKAGE_LAYOUTS]
-    files = {function.__code__.co_filename for function in functions}
-    return sorted(files | {spec.file for spec in REGISTRY.values() if spec.file})
 
 
 @contextlib.contextmanager

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NoReturn
 
+from jaxunshear.config.types import claim_name
 from jaxunshear.errors import UserError
 
 Role = Literal["unshears", "reads poses", "renders"]  # what a network of a loss does
@@ -109,10 +110,7 @@ def register_loss(name: str, **needs: Any) -> Callable[[Callable[..., Any]], Cal
     """
 
     def register(compute: Callable[..., Any]) -> Callable[..., Any]:
-        other = LOSSES[name].compute if name in LOSSES else compute
-        # a file may be read twice
-        if other is None or other.__code__.co_filename != compute.__code__.co_filename:
-            raise UserError(f"loss '{name}' is there already: choose another name")
+        claim_name("loss", name, LOSSES, compute.__code__.co_filename)
         LOSSES[name] = LossSpec(name, compute, **needs)
         return compute
 

@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
-from jaxunshear.config.losses import InputKind, Role
+from jaxunshear.config.losses import IMAGES, InputKind, Role
 from jaxunshear.config.types import Bound, Count, Counts, NotNegative, Problem, between
-from jaxunshear.errors import UserError
 
 CodeSize = Annotated[
     int, Bound(lambda size: size >= 0, "must not be below zero; 0 builds no shear code")
@@ -135,7 +134,6 @@ TEACHER: Final = "posenet_teacher"
 # pose to tap, trained on recorded taps: draws the partners of recorded slides
 RENDERER: Final = "renderer"
 
-IMAGES_ALONE: tuple[InputKind, ...] = ("images",)
 PIN_CONSTANTS = ("rest", "spread", "grid")  # variables of networks over pins that are not trained
 
 
@@ -150,9 +148,7 @@ class NetworkSpec:
     modalities: tuple[InputKind, ...] = ("images", "pins")  # that it may read
     # the parts that are in released weights, () for all of it; None: it is not released
     released_parts: tuple[str, ...] | None = None
-    # of a network that an experiment file has registered: its settings, and that file
-    make_settings: Callable[..., object] | None = None
-    file: str = ""
+    make_settings: Callable[..., object] | None = None  # of one that an experiment file registers
 
 
 REGISTRY = {
@@ -171,10 +167,8 @@ REGISTRY = {
             released_parts=("E", "pose", "DC", *PIN_CONSTANTS),
         ),
         NetworkSpec(POSENET, "reads poses", "taps", released_parts=()),
-        NetworkSpec(
-            ENTANGLED_LARGE, "unshears", "pairs", "entangled, as many parameters", IMAGES_ALONE
-        ),
-        NetworkSpec(UNET, "unshears", "pairs", "U-Net", IMAGES_ALONE),
+        NetworkSpec(ENTANGLED_LARGE, "unshears", "pairs", "entangled, as many parameters", IMAGES),
+        NetworkSpec(UNET, "unshears", "pairs", "U-Net", IMAGES),
         NetworkSpec(POSENET_SHEARED, "reads poses", "slides", released_parts=()),
     )
 }
@@ -187,12 +181,9 @@ POSENETS = tuple(name for name, spec in REGISTRY.items() if spec.role == "reads 
 
 
 def add_network(spec: NetworkSpec) -> None:
-    """Add a network that unshears. Raises UserError if another one has its name."""
-    registered = REGISTRY.get(spec.name)
-    if registered is None:
+    """Add a network that unshears, or put it in the place of one of its name."""
+    if spec.name not in REGISTRY:
         UNSHEARING.insert(0, spec.name)
-    elif registered.file != spec.file:  # else the file is read twice
-        raise UserError(f"network '{spec.name}' is there already: choose another name")
     REGISTRY[spec.name] = spec
 
 

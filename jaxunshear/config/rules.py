@@ -32,12 +32,11 @@ from jaxunshear.errors import UserError
 UNKNOWN = 2**62  # examples, of data that are counted when they are read
 # fields that only some networks use: a value that changes none of them is refused
 PARTLY_USED = (
-    *(
-        "pins.rotated_share",
-        "pins.direct_conv_channels",
-        "paired.direct_taps",
-        "train.paired_share",
-    ),
+    "pins.rotated_share",
+    "pins.direct_conv_channels",
+    "paired.direct_taps",
+    "train.paired_share",
+    "train_pins.paired_share",
     *(f"train_posenet.{field}" for field in ("crops", "crop_px", "paired_share")),
     *(f"train_teacher.{field}" for field in ("crops", "crop_px", "paired_share")),
 )
@@ -93,8 +92,6 @@ def _find_recorded_problems(experiment: Experiment, recorded: Recorded) -> Itera
             "pins.direct_conv_channels",
             "takes recorded pins as they are: leave pins.rotated_share at 0",
         )
-    if experiment.train_pins.paired_share != 1:
-        yield "train_pins.paired_share", "is for simulated pairs: use paired.labelled"
     for field in ("unseen", *FURTHER_TESTS):
         if getattr(experiment, field):
             yield field, "is a test of simulated touches: leave it empty"

@@ -25,6 +25,7 @@ from jaxunshear.config.types import (
     Problem,
     Share,
     between,
+    claim_name,
     raise_first_problem,
 )
 from jaxunshear.errors import UserError
@@ -185,10 +186,7 @@ def register_layout(name: str) -> Callable[[LayoutFunction], LayoutFunction]:
     """
 
     def register(place_pins: LayoutFunction) -> LayoutFunction:
-        file = place_pins.__code__.co_filename
-        # a file may be read twice
-        if name in LAYOUTS and LAYOUTS[name].__code__.co_filename != file:
-            raise UserError(f"layout '{name}' is there already: choose another name")
+        claim_name("layout", name, LAYOUTS, place_pins.__code__.co_filename)
         LAYOUTS[name] = place_pins
         return place_pins
 

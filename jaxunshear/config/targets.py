@@ -69,6 +69,14 @@ class Target:
     def outputs(self) -> int:
         return self.classes or (2 if self.is_circular else 1)
 
+    def scale(self, labels: np.ndarray) -> np.ndarray:
+        """Scale labels (N,) to [-1, 1] over the range (N, 1), or to cosine and sine (N, 2)."""
+        values = np.asarray(labels, np.float64)
+        if self.is_circular:
+            angle = np.radians(values)
+            return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        return (values[:, None] - self.centre) / self.half_range
+
 
 Targets = tuple[Target, ...]
 

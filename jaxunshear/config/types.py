@@ -6,7 +6,7 @@ import math
 import sys
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from typing import Annotated, Any, NamedTuple
 
 from jaxunshear.errors import UserError
@@ -17,6 +17,25 @@ get_origin: Callable[[Hint], object] = typing.get_origin  # mypy mistypes typing
 # The field that a message names, and what is wrong with its value and what to do instead. What
 # finds a problem may rely on there being none before it.
 Problem = tuple[str, str]
+
+
+# What experiment files have registered, by what it is and its name: the file.
+REGISTERED: dict[tuple[str, str], str] = {}
+
+
+def claim_name(kind: str, name: str, names: Container[str], file: str) -> None:
+    """Claim a name for what an experiment file registers; a file may be read twice.
+
+    Raises UserError if the name is among those of the package or of another file.
+    """
+    if REGISTERED.get((kind, name), "" if name in names else file) != file:
+        raise UserError(f"{kind} '{name}' is there already: choose another name")
+    REGISTERED[kind, name] = file
+
+
+def list_registering_files() -> list[str]:
+    """List the experiment files that have registered something; processes of a sweep run them."""
+    return sorted(set(REGISTERED.values()))
 
 
 class Bound(NamedTuple):

@@ -140,29 +140,19 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
     ) -> Iterator[tuple[str, dict]]:
         yield from self.iterate_examples(self.builder_config.settings, contacts, paths, split)
 
-    def _set_metadata(self, counts: dict, **more: object) -> None:
+    def _set_metadata(self, **facts: object) -> None:
         versions = {
             name: importlib.metadata.version(name)
             for name in ("jax", "numpy", "tensorflow-datasets")
         }
         described = configs.describe_set(self.builder_config.settings, self.builder_config.sensor)
-        self.info.metadata.update(**described, counts=counts, versions=versions, **more)
+        self.info.metadata.update(**described, versions=versions, **facts)
 
 
 class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
     """Simulates the contacts of a set, or continues to."""
 
     VERSION = tfds.core.Version(SimulatedData.version)
-    RELEASE_NOTES: ClassVar[dict[str, str]] = {
-        "2.0.0": "Pins as levers; contact to 60 deg from the apex.",
-        "2.1.0": "Presses in increments of 3 mm.",
-        "2.3.0": "Polygons without a ridge along rows through a corner.",
-        "2.4.0": "Pairs drift too.",
-        "3.0.0": "Exact distances from every shape's outline; slides along x, y or both; "
-        "the fitted sensor but for tiny and demo; a pose's split is its own: "
-        "by seed, stimulus and number, whatever the set's size.",
-        "1.0.0": "First release.",
-    }
     engine: SimulationEngine | None = None  # tests put a fast stand-in for the simulator here
 
     def _split_generators(
@@ -180,7 +170,7 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
                     f"{self.name}/{self.builder_config.name}: no contact of split '{split}' "
                     "converged: draw more poses"
                 )
-        self._set_metadata(counts)
+        self._set_metadata(counts=counts)
         return {split: self._generate_examples(samples, paths, split) for split in SPLITS}
 
 
@@ -244,7 +234,6 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
 
     iterate_examples = staticmethod(recorded_frames.iterate_examples)
     VERSION = tfds.core.Version(Recorded.version)
-    RELEASE_NOTES: ClassVar[dict[str, str]] = {"1.0.0": "First release."}
     MANUAL_DOWNLOAD_INSTRUCTIONS = (
         "The folders of taps and slides that the settings name, in one of the layouts of README.md."
     )
@@ -276,6 +265,10 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
         contacts = self._contacts
         frame = find_sensor_frame(contacts, settings, sensor)
         paths = recorded_frames.prepare_chunks(contacts, settings, frame, self._unfinished_folder)
-        counts, description = recorded_frames.summarise_recordings(contacts, frame, paths)
-        self._set_metadata(counts, **description)
+        description = recorded_frames.summarise_recordings(contacts, frame.describe(), paths)
+        for split, count in description["counts"]["written"].items():
+            if not count:
+                first = description["counts"]["dropped_frames"][:1]
+                raise UserError(f"no frame of split '{split}' can be read; the first: {first}")
+        self._set_metadata(**description)
         return {split: self._generate_examples(contacts, paths, split) for split in SPLITS}

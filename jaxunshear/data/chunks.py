@@ -5,7 +5,7 @@ paths = simulate_chunks(settings, sensor, samples, folder, make_engine())
 for key, example in iterate_paired_examples(settings, samples, paths, "train"): ...
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, Json, read_npz, write_npz
 from jaxunshear.perception.drawing import encode_png
 from jaxunshear.progress import Progress
+from jaxunshear.selection import number_poses
 
 CONTACT_COUNTS = ("stuck", "slipping", "free", "iterations")
 PNG_LEVEL = 4
@@ -35,24 +36,37 @@ def load_chunk(path: Path) -> Chunk:
         ) from error
 
 
-def write_chunks(
-    folder: Path, parts: list[np.ndarray], make: Callable[[list[int]], Iterable[Chunk]], label: str
-) -> list[Path]:
-    """Write a file for each part, rows of contacts; files that exist are kept, returns all.
+def join_field(chunks: Iterable[Chunk], name: str) -> np.ndarray:
+    return np.concatenate([chunk[name] for chunk in chunks])
 
-    `make` yields the chunks of the parts of these numbers, in order.
+
+def write_chunks(
+    folder: Path,
+    parts: Sequence[np.ndarray],
+    make: Callable[[list[int]], Iterable[tuple[int, Chunk]]],
+    label: str,
+) -> list[Path]:
+    """Write a file for each part, rows of contacts; files of these rows are kept, returns all.
+
+    `make` yields the chunks of the parts of these indices with their index, in any order. The
+    field `number` of a chunk has its rows.
     """
     paths = [folder / f"{index:05d}.npz" for index in range(len(parts))]
-    missing = [index for index, path in enumerate(paths) if not path.exists()]
+    missing = [index for index, path in enumerate(paths) if not _holds_rows(path, parts[index])]
     if not missing:
         return paths
     count = sum(map(len, parts))
     done = count - sum(len(parts[index]) for index in missing)
     with Progress(label, count, "contacts", done=done) as progress:
-        for index, chunk in zip(missing, make(missing), strict=True):
+        for index, chunk in make(missing):
             write_npz(paths[index], chunk)
             progress.advance(len(parts[index]))
     return paths
+
+
+def _holds_rows(path: Path, rows: np.ndarray) -> bool:
+    """Say whether a file has these rows; a killed run of another version may have left others."""
+    return path.exists() and np.array_equal(load_chunk(path).get("number", ()), rows)
 
 
 class ChunkRow(NamedTuple):
@@ -111,7 +125,7 @@ def summarise_set(
     written, unpaired = usable, 0
     if samples.is_slide.any():
         slides = usable & samples.is_slide
-        pose = _number_poses(samples)
+        pose = number_poses(samples.scenes.stimulus, samples.pose_id)
         written = slides & np.isin(pose, pose[usable & ~samples.is_slide])
         unpaired = int(slides.sum() - written.sum())
     dropped = []
@@ -146,11 +160,6 @@ def count_by_split(split: np.ndarray, selected: np.ndarray) -> dict[str, int]:
     return dict(zip(SPLITS, counts.tolist(), strict=True))
 
 
-def _number_poses(samples: ContactSamples) -> np.ndarray:
-    """Return a number for the pose of each contact (N,), over all stimuli."""
-    return samples.scenes.stimulus * (samples.pose_id.max() + 1) + samples.pose_id
-
-
 def _make_labels(settings: PairedData | PoseData, samples: ContactSamples, row: int) -> Json:
     return {
         "pose": samples.scenes.pose[row].astype(np.float32),
@@ -168,7 +177,8 @@ def iterate_paired_examples(
     Slide j takes tap j modulo the number of taps.
     """
     size, in_split = settings.preprocess.size, samples.split == SPLITS.index(split)
-    pose, taps, taps_by_pose = _number_poses(samples), dict[int, Json](), dict[int, list[int]]()
+    pose = number_poses(samples.scenes.stimulus, samples.pose_id)
+    taps, taps_by_pose = dict[int, Json](), dict[int, list[int]]()
     for tap in iterate_usable_rows(paths, in_split & ~samples.is_slide):
         taps[tap.row] = {"image": tap.encode_png(size), "pins": tap.get("pins")}
     for row in sorted(taps):

@@ -108,14 +108,7 @@ def find_nearest(
 
 
 def _scale_poses(targets: Targets, poses: np.ndarray) -> np.ndarray:
-    columns: list[np.ndarray] = []
-    for target in targets:
-        value = np.asarray(poses[:, target.column], np.float64)
-        if target.is_circular:
-            columns += [np.cos(np.radians(value)), np.sin(np.radians(value))]
-        else:
-            columns.append((value - target.centre) / target.half_range)
-    return np.stack(columns, axis=-1)
+    return np.concatenate([target.scale(poses[:, target.column]) for target in targets], axis=1)
 
 
 def compute_pair_weights(distance: np.ndarray) -> np.ndarray:

@@ -14,8 +14,9 @@ import numpy as np
 
 from jaxunshear.angles import rotate_2d
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.chunks import unpack_bits
+from jaxunshear.data.chunks import join_field, unpack_bits
 from jaxunshear.errors import UserError
+from jaxunshear.selection import number_poses
 
 IMAGES = ("image", "canonical", "sheared", "other", "swapped")
 PINS = ("pins", "canonical_pins", "sheared_pins", "other_pins", "swapped_pins")
@@ -111,6 +112,11 @@ class Reader:
         return unpacked
 
 
+def concatenate_batches(batches: Sequence[Batch]) -> Batch:
+    """Concatenate the arrays of all batches, name by name."""
+    return {name: join_field(batches, name) for name in batches[0]}
+
+
 def check_split(split: str) -> None:
     if split not in SPLITS:
         raise UserError(f"split '{split}' is unknown: use one of {', '.join(SPLITS)}")
@@ -177,8 +183,7 @@ def sample_next(index: np.ndarray, size: np.ndarray, generator: np.random.Genera
 
 def group_by_pose(stimulus: np.ndarray, pose: np.ndarray) -> PoseGroups:
     """Group rows (N,) by their stimulus and the number of their pose on it."""
-    _, group = np.unique(np.stack([stimulus, pose], axis=-1), axis=0, return_inverse=True)
-    group = group.reshape(-1)
+    group = number_poses(stimulus, pose)
     members, size = np.argsort(group, kind="stable"), np.bincount(group)
     start = np.cumsum(size) - size
     rank = np.empty_like(members)

@@ -18,21 +18,23 @@ from jaxunshear.config.data import Recorded
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import (
+    PNG_LEVEL,
     Chunk,
     count_by_split,
-    iterate_usable_rows,
+    join_field,
     load_chunk,
     pack_bits,
     unpack_bits,
     write_chunks,
 )
-from jaxunshear.data.reader import Batch
+from jaxunshear.data.reader import Batch, concatenate_batches
 from jaxunshear.data.recorded_contacts import RecordedContacts
 from jaxunshear.data.recordings import read_image
 from jaxunshear.data.sensor_frame import SensorFrame, to_detection_px, to_image_px
 from jaxunshear.environment import count_cores
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_npz
+from jaxunshear.perception.drawing import encode_png
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_detection import detect_pins
 from jaxunshear.perception.pin_track import PinTrack
@@ -62,12 +64,12 @@ def prepare_chunks(
     count = len(contacts.files)
     numbers = [np.arange(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
 
-    def prepare(missing: list[int]) -> Iterator[Chunk]:
+    def prepare(missing: list[int]) -> Iterator[tuple[int, Chunk]]:
         jobs = []
         for i in missing:
             files = tuple(contacts.files[number] for number in numbers[i])
             jobs.append((files, numbers[i], settings.preprocess, frame))
-        return _map_over_cores(_prepare_chunk, jobs)
+        return zip(missing, _map_over_cores(_prepare_chunk, jobs), strict=True)
 
     paths = write_chunks(folder, numbers, prepare, label)
     prior = _fit_motion_prior(contacts, paths, frame)
@@ -174,26 +176,22 @@ def _has_hard_frames(path: Path) -> bool:
     return bool((chunk["usable"] & ~chunk["sure"]).any() and not chunk["tried"])
 
 
-def summarise_recordings(
-    contacts: RecordedContacts, frame: SensorFrame, paths: list[Path]
-) -> tuple[Json, Json]:
-    """Return counts, and what else a reader must know of the set, both plain JSON.
+def summarise_recordings(contacts: RecordedContacts, frame: Json, paths: list[Path]) -> Json:
+    """Return counts, and what else a reader must know of the set, as plain JSON.
 
-    Raises UserError if no frame of a split can be read.
+    `frame` is what `SensorFrame.describe` gives. Raises UserError if no frame can be read.
     """
     chunks = [load_chunk(path) for path in paths]
-    usable, identified = _join(chunks, "usable"), _join(chunks, "sure")
-    problem = _join(chunks, "problem")
+    usable, identified = join_field(chunks, "usable"), join_field(chunks, "sure")
+    counts = count_contacts(contacts, usable, identified, join_field(chunks, "problem"))
+    if not usable.any():
+        raise UserError(f"no frame can be read; the first: {counts['dropped_frames'][:1]}")
     white_shares = [np.unpackbits(chunk["images"], axis=-1).mean(axis=-1) for chunk in chunks]
     white = np.concatenate(white_shares)
-    counts = count_contacts(contacts, usable, identified, problem)
-    for split, count in counts["written"].items():
-        if not count:
-            first = _list_drops(contacts, problem)[:1]
-            raise UserError(f"no frame of split '{split}' can be read; the first: {first}")
-    is_full = np.isfinite(_join(chunks, "pins")).all(axis=(1, 2))
-    description = {
-        "frame": frame.describe(),
+    is_full = np.isfinite(join_field(chunks, "pins")).all(axis=(1, 2))
+    return {
+        "counts": counts,
+        "frame": frame,
         "pins": {
             "sure": round(float(identified[usable].mean()), 6),
             "all_seen": round(float(is_full[usable].mean()), 6),
@@ -202,17 +200,13 @@ def summarise_recordings(
         "notes": list(contacts.notes),
         "others": list(contacts.others),
     }
-    return counts, description
-
-
-def _join(chunks: list[Chunk], name: str) -> np.ndarray:
-    return np.concatenate([chunk[name] for chunk in chunks])
 
 
 def count_contacts(
     contacts: RecordedContacts, usable: np.ndarray, identified: np.ndarray, problem: np.ndarray
 ) -> Json:
     """Count contacts (N,) by split, all of them and by kind, and list those with a `problem`."""
+    dropped = [f"{contacts.names[row]}: {problem[row]}" for row in np.flatnonzero(problem != "")]
     return {
         "contacts": len(usable),
         "dropped": int((~usable).sum()),
@@ -220,67 +214,53 @@ def count_contacts(
         "written": count_by_split(contacts.split, usable),
         "taps": count_by_split(contacts.split, usable & ~contacts.is_slide),
         "slides": count_by_split(contacts.split, usable & contacts.is_slide),
-        "dropped_frames": _list_drops(contacts, problem)[:MAX_NAMED],
+        "dropped_frames": dropped[:MAX_NAMED],
     }
 
 
-def _list_drops(contacts: RecordedContacts, problem: np.ndarray) -> list[str]:
-    return [f"{contacts.names[row]}: {problem[row]}" for row in np.flatnonzero(problem != "")]
+def _collect_fields(contacts: RecordedContacts, chunk: Chunk, selected: np.ndarray) -> Batch:
+    """Collect the fields of the usable frames of a chunk that are `selected` (n,) bool.
+
+    Images are at one bit a pixel; `others` are the further columns of the tables, if any.
+    """
+    kept = chunk["usable"] & selected
+    number = chunk["number"][kept]
+    fields = {
+        "image": chunk["images"][kept],
+        "pins": chunk["pins"][kept].astype(np.float32),
+        "sure": chunk["sure"][kept].astype(np.int32),
+        "slid": contacts.is_slide[number].astype(np.int32),
+        "pose": contacts.pose[number].astype(np.float32),
+        "move": contacts.move[number].astype(np.float32),
+        "pose_id": contacts.pose_id[number].astype(np.int32),
+        "number": number.astype(np.int32),
+    }
+    columns = [values[number].astype(np.float32) for values in contacts.others.values()]
+    return fields | ({"others": np.stack(columns, axis=1)} if columns else {})
 
 
 def iterate_examples(
     settings: Recorded, contacts: RecordedContacts, paths: list[Path], split: str
 ) -> Iterator[tuple[str, dict]]:
     """Iterate over (key, example) of every readable frame of a split."""
-    in_split = contacts.split == SPLITS.index(split)
-    others = stack_others(contacts)
-    for contact in iterate_usable_rows(paths, in_split):
-        row = contact.row
-        example = {
-            "image": contact.encode_png(settings.preprocess.size),
-            "pins": contact.get("pins").astype(np.float32),
-            **({"others": others[row]} if contacts.others else {}),
-            "sure": int(contact.get("sure")),
-            "slid": int(contacts.is_slide[row]),
-            "pose": contacts.pose[row].astype(np.float32),
-            "move": contacts.move[row].astype(np.float32),
-            "pose_id": int(contacts.pose_id[row]),
-            "number": row,
-        }
-        yield f"{row:08d}", example
-
-
-def stack_others(contacts: RecordedContacts) -> np.ndarray:
-    """Stack the further columns of the tables as (N, K) float32."""
-    columns = [values.astype(np.float32) for values in contacts.others.values()]
-    return np.stack(columns, axis=1) if columns else np.zeros((len(contacts.files), 0), np.float32)
+    in_split, size = contacts.split == SPLITS.index(split), settings.preprocess.size
+    for chunk in map(load_chunk, paths):
+        fields = _collect_fields(contacts, chunk, in_split[chunk["number"]])
+        for i, number in enumerate(fields["number"].tolist()):
+            example = {name: values[i] for name, values in fields.items()}
+            example["image"] = encode_png(unpack_bits(example["image"], size), PNG_LEVEL)
+            yield f"{number:08d}", example
 
 
 class UnstoredSet:
     """Holds chunks of prepared frames in the place of a stored set, all in its test split."""
 
     def __init__(self, contacts: RecordedContacts, paths: list[Path], frame: Json) -> None:
-        chunks = [load_chunk(path) for path in paths]
-        usable, identified = _join(chunks, "usable"), _join(chunks, "sure")
-        self._test: Batch = {
-            "image": _join(chunks, "images")[usable],
-            "pins": _join(chunks, "pins")[usable].astype(np.float32),
-            "sure": identified[usable].astype(np.int32),
-            "slid": contacts.is_slide[usable].astype(np.int32),
-            "pose": contacts.pose[usable].astype(np.float32),
-            "move": contacts.move[usable].astype(np.float32),
-            "pose_id": contacts.pose_id[usable].astype(np.int32),
-            "number": np.flatnonzero(usable).astype(np.int32),
-            "others": stack_others(contacts)[usable],
-        }
-        share = round(float(identified[usable].mean()), 6) if usable.any() else 0.0
-        self.metadata: Json = {
-            "counts": count_contacts(contacts, usable, identified, _join(chunks, "problem")),
-            "frame": frame,
-            "pins": {"sure": share},
-            "notes": list(contacts.notes),
-            "others": list(contacts.others),
-        }
+        self.metadata = summarise_recordings(contacts, frame, paths)
+        parts = []
+        for chunk in map(load_chunk, paths):
+            parts.append(_collect_fields(contacts, chunk, np.ones(len(chunk["number"]), bool)))
+        self._test = concatenate_batches(parts)
 
     def rows(self, split: str) -> Batch:
         """Return the rows of a split by field: none except for the test."""

@@ -7,6 +7,8 @@ pairs = stored.read_pairs(targets, render)  # Reader of canonical, sheared, thei
 How a slide gets its partner is in `pairing`.
 """
 
+from pathlib import Path
+
 import numpy as np
 
 from jaxunshear.config.data import RENDERED_PAIRINGS, Recorded
@@ -21,14 +23,29 @@ from jaxunshear.config.targets import (
 from jaxunshear.data import pairing
 from jaxunshear.data.chunks import unpack_bits
 from jaxunshear.data.pairing import PoseEstimator, SlideSimulator, TapRenderer, make_pose_ids_unique
-from jaxunshear.data.reader import Batch, Reader
-from jaxunshear.data.recorded_frames import UnstoredSet
+from jaxunshear.data.reader import Batch, Reader, concatenate_batches
+from jaxunshear.data.recorded_contacts import read_test_contacts
+from jaxunshear.data.recorded_frames import UnstoredSet, prepare_chunks
+from jaxunshear.data.sensor_frame import parse_frame
 from jaxunshear.data.stored_sets import SetReader
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.lattice import Lattice, make_lattice
 
 CONTACT_FIELDS = ("pose", "move", "others", "sure", "number", "pose_id", "stimulus")
+
+
+def read_other_recordings(
+    settings: Recorded, frame: Json, folder: Path, targets: tuple[str, ...] = ()
+) -> "RecordedSet":
+    """Read other recordings of a sensor, all for a test; prepared frames are kept in `folder`.
+
+    `frame` is what the sensor's own frames have in common: the crop and the rest positions.
+    Raises UserError if nothing can be read.
+    """
+    contacts, name = read_test_contacts(settings), settings.slide_folder or settings.tap_folder
+    paths = prepare_chunks(contacts, settings, parse_frame(frame), folder, f"read {name}")
+    return RecordedSet(settings, UnstoredSet(contacts, paths, frame), targets=targets)
 
 
 class RecordedSet:
@@ -117,7 +134,7 @@ class RecordedSet:
             if split == "train" and self.settings.direct_taps == "recorded":
                 taps = self.read_labelled_taps(split)
                 still = _rename_as_slides(taps | {"move": np.zeros_like(taps["pose"])})
-                slides = _concatenate(slides, still)
+                slides = concatenate_batches([slides, still])
             return make_pose_ids_unique(slides)
 
         return Reader(load, self.size)
@@ -149,8 +166,7 @@ class RecordedSet:
                 return self._simulate_slides(split, simulate, images)
             slides = self._select_slides(split, estimate, images)
             if method in RENDERED_PAIRINGS:
-                if render is None:
-                    raise ValueError(f"pairing '{method}' takes a renderer")
+                assert render is not None
                 if not images:
                     return pairing.pair_with_renderings(slides, targets, render)
                 taps, warp = self.read_labelled_taps("train"), self._make_image_warper()
@@ -158,7 +174,7 @@ class RecordedSet:
             taps = self.read_labelled_taps("train")
             # a tap of another held-out split would let that split choose the checkpoint
             if split != "train":
-                taps = _concatenate(taps, self.read_labelled_taps(split))
+                taps = concatenate_batches([taps, self.read_labelled_taps(split)])
             pairs = pairing.pair_with_taps(slides, taps, targets, method)
             if method != "nearest" and not len(pairs["pose"]):
                 raise UserError(
@@ -232,7 +248,3 @@ class RecordedSet:
 def _rename_as_slides(contacts: Batch) -> Batch:
     batch = {name: contacts[name] for name in CONTACT_FIELDS if name in contacts}
     return batch | {"sheared": contacts["image"], "sheared_pins": contacts["pins"]}
-
-
-def _concatenate(first: Batch, second: Batch) -> Batch:
-    return {name: np.concatenate([value, second[name]]) for name, value in first.items()}

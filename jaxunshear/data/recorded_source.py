@@ -102,6 +102,9 @@ class RecordedSource(DataSource):
         poses = tuple(target for target in targets if target.field == "pose")
         return stored.read_pairs(poses, render, images, estimate, simulate)
 
+    def make_pose_targets(self, data_dir: Path) -> Targets:
+        return self.open_stored(data_dir).make_targets(())
+
     def read_frame(self, data_dir: Path) -> Json | None:
         return self.open_stored(data_dir).frame
 

@@ -10,7 +10,7 @@ weights can score them, too, without the data sets of the training.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,12 +25,10 @@ from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.sensor import LAYOUTS, Camera, LayoutFunction, Nuisance, Preprocess, Sensor
 from jaxunshear.config.splits import BLOCK
-from jaxunshear.data.chunks import Chunk, load_chunk, pack_bits
+from jaxunshear.data.chunks import Chunk, pack_bits, write_chunks
 from jaxunshear.data.sampling import ContactSamples, sample_pairs
 from jaxunshear.errors import UserError
-from jaxunshear.files import write_npz
 from jaxunshear.perception.preprocess import binarise
-from jaxunshear.progress import Progress
 from jaxunshear.simulator import camera as cameras
 from jaxunshear.simulator import simulate
 from jaxunshear.simulator.contacts import compute_indentation
@@ -78,32 +76,25 @@ def simulate_chunks(
     black, is stored as not usable. A chunk holds `number`, `usable`, `retried` (n,), `images`
     (n, bytes) at one bit a pixel, `pins` (n, P, 2) px, and what the solver reports of each contact.
     """
-    scenes = samples.scenes
-    paths, missing = list[Path](), dict[Path, np.ndarray]()
-    for index, batch in enumerate(engine.plan(sensor, settings.stimuli, scenes)):
-        path = folder / f"{index:05d}.npz"
-        paths.append(path)
-        # a killed run of another version may have left another batch
-        if not path.exists() or not np.array_equal(load_chunk(path)["number"], batch):
-            missing[path] = np.asarray(batch)
-    layout = LAYOUTS[sensor.layout]
+    scenes, layout = samples.scenes, LAYOUTS[sensor.layout]
+    batches = engine.plan(sensor, settings.stimuli, scenes)
 
-    def make_call(path: Path, batch: np.ndarray) -> Call:
+    def make_call(index: int) -> Call:
+        batch = batches[index]
         given = (settings, sensor, layout, scenes.take(batch), batch, samples.age[batch], engine)
-        return Call(path, _simulate_chunk, given)
+        return Call(Path(f"{index:05d}"), _simulate_chunk, given)
 
-    label = f"simulate {settings.set_name}/{compute_config_name(settings, sensor)}"
-    done = len(scenes) - sum(map(len, missing.values()))
-    with Progress(label, len(scenes), unit="contacts", done=done) as progress:
-        for path, chunk in engine.run_calls(map(make_call, missing.keys(), missing.values())):
+    def make(missing: list[int]) -> Iterator[tuple[int, Chunk]]:
+        for name, chunk in engine.run_calls(map(make_call, missing)):
             if isinstance(chunk, WorkerDied):
                 raise UserError(
-                    f"chunk {path.name}: {chunk.reason}; fewer at once (--ray-cores) "
+                    f"chunk {name}: {chunk.reason}; fewer at once (--ray-cores) "
                     "have more memory each; then run the same command"
                 )
-            write_npz(path, chunk)
-            progress.advance(len(missing[path]))
-    return paths
+            yield int(name.name), chunk
+
+    label = f"simulate {settings.set_name}/{compute_config_name(settings, sensor)}"
+    return write_chunks(folder, batches, make, label)
 
 
 def _simulate_chunk(

@@ -22,12 +22,14 @@ from jaxunshear.config.data import DataSettings, PairedData, PoseData, SourceSet
 from jaxunshear.config.experiment import Experiment, list_further_tests
 from jaxunshear.config.network_config import NetworkConfig, takes_taps
 from jaxunshear.config.targets import (
+    SIMULATED_FIELDS,
     Targets,
     make_label_targets,
     make_move_targets,
     make_range_targets,
     make_slide_targets,
 )
+from jaxunshear.config.types import claim_name
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
@@ -190,15 +192,9 @@ class DataSource:
         """Read what the frames of a real sensor have in common, which a run keeps."""
         return None
 
-    def open_stored(self, data_dir: Path, settings: DataSettings | None = None) -> "RecordedSet":
-        """Open the recorded set. Raises UserError if there is none, or it is damaged."""
-        raise UserError(f"'{self.experiment.name}' is not about recordings")
-
-    def open_pairs(
-        self, stored: "RecordedSet", targets: Targets, helpers: Helpers, images: bool
-    ) -> "Reader":
-        """Open recorded slides with the taps that they are paired with. Raises UserError."""
-        raise UserError(f"'{self.experiment.name}' is not about recordings")
+    def make_pose_targets(self, data_dir: Path) -> Targets:
+        """Make the targets of all components of the pose that the data vary. Raises UserError."""
+        raise UserError(f"'{self.experiment.name}' has no pins, which probes compare codes with")
 
 
 class SimulatedSource(DataSource):
@@ -261,6 +257,9 @@ class SimulatedSource(DataSource):
             slide_targets=make_slide_targets(settings.ranges) if is_paired else (),
         )
 
+    def make_pose_targets(self, data_dir: Path) -> Targets:
+        return make_range_targets((), self.settings.ranges, tuple(SIMULATED_FIELDS))
+
     def open_set(self, settings: DataSettings, data_dir: Path) -> "SetReader":
         """Open a set. Raises UserError if it is missing or was made with other settings."""
         from jaxunshear.data.stored_sets import FactorialReader, SetReader, open_set
@@ -282,24 +281,17 @@ Source = TypeVar("Source", bound=type[DataSource])
 
 
 def register_source(settings: type[SourceSettings]) -> Callable[[Source], Source]:
-    """Register a class as the data source of experiments whose `paired` is of type `settings`."""
+    """Register a class as the data source of experiments whose `paired` is of type `settings`.
+
+    The class has a function at least. Raises UserError if other settings have this name.
+    """
 
     def register(source: Source) -> Source:
+        functions = (each for each in vars(source).values() if isinstance(each, FunctionType))
+        file = next(functions).__code__.co_filename
+        claim_name("data source", settings.__name__, SourceSettings.registered, file)
         settings.source = source
         SourceSettings.registered[settings.__name__] = settings
         return source
 
     return register
-
-
-def list_source_files() -> list[str]:
-    """List the experiment files that have registered sources; processes of a sweep run them."""
-    sources = [kind.source for kind in SourceSettings.registered.values()]
-    functions = [
-        value
-        for source in sources
-        if not isinstance(source, str)
-        for value in vars(source).values()
-        if isinstance(value, FunctionType)
-    ]
-    return sorted({function.__code__.co_filename for function in functions})

@@ -40,6 +40,7 @@ from jaxunshear.data.reader import (
 from jaxunshear.data.sampling import check_settings, find_slide_leaders
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import compute_checksum, explain_os_error, raise_machine_error, read_object
+from jaxunshear.selection import number_poses
 
 if TYPE_CHECKING:
     from jaxunshear.data.simulation import SimulationEngine
@@ -266,8 +267,7 @@ def index_shared_slides(rows: Batch, settings: PairedData) -> SharedSlides:
     """Index the slides that rows of a split share, by `stimulus`, `pose_id` and `slide_id` (N,)."""
     leaders = np.stack([find_slide_leaders(settings, name) for name in settings.names])
     leader = leaders[rows["stimulus"], rows["pose_id"]]
-    _, group = np.unique(np.stack([rows["stimulus"], leader], axis=1), axis=0, return_inverse=True)
-    group = group.reshape(-1)
+    group = number_poses(rows["stimulus"], leader)
     pose, first = np.unique(np.stack([group, rows["pose_id"]], axis=1), axis=0, return_inverse=True)
     starts = np.searchsorted(pose[:, 0], np.arange(group.max(initial=-1) + 1))
     place = first.reshape(-1) - starts[group]

@@ -26,6 +26,7 @@ from jaxunshear.config.targets import (
     make_move_targets,
     name_pose_field,
 )
+from jaxunshear.data.chunks import join_field
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_source import RecordedSource, read_pin_layout
 from jaxunshear.data.sources import DataSource, Examples, Helpers, PinLayout
@@ -130,13 +131,9 @@ def join_readers(readers: Sequence[Reader], shifts: Sequence[FrameShift], size: 
                 rows[name_pose_field(other)] = rows["pose"] if other == task else unknown
             parts.append(rows)
         fields = set.intersection(*map(set, parts)) - {"others"}
-        return {field: _join(parts, field) for field in fields}
+        return {field: join_field(parts, field) for field in fields}
 
     return Reader(load, size)
-
-
-def _join(parts: Sequence[Batch], field: str) -> np.ndarray:
-    return np.concatenate([part[field] for part in parts])
 
 
 def join_targets(targets: Sequence[Targets]) -> Targets:

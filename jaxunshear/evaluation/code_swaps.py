@@ -17,11 +17,11 @@ from jax import Array
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import DISENTANGLED, UnshearNet
-from jaxunshear.data.reader import Reader
+from jaxunshear.data.reader import Reader, concatenate_batches
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.intervals import INTERVALS_OVER, compute_intervals, number_poses
+from jaxunshear.evaluation.intervals import INTERVALS_OVER, compute_intervals
 from jaxunshear.evaluation.measurements import PAPER
-from jaxunshear.evaluation.score import CELLS, concatenate_batches, get_cell_target, score_cells
+from jaxunshear.evaluation.score import CELLS, get_cell_target, score_cells
 from jaxunshear.files import Json, write_json
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.models.modality import IMAGES
@@ -29,8 +29,9 @@ from jaxunshear.models.registry import decode_canonical, decode_sheared, encode
 from jaxunshear.models.weights import Net, Variables
 from jaxunshear.progress import Progress
 from jaxunshear.results.provenance import describe_provenance, read_training_facts
+from jaxunshear.selection import number_poses
 from jaxunshear.text_table import format_text_table
-from jaxunshear.training.checkpoint import check_training, load_best, read_net
+from jaxunshear.training.checkpoint import load_network
 from jaxunshear.training.examples import open_examples
 from jaxunshear.training.provenance import check_origin
 
@@ -109,14 +110,12 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
 
 def _load_network(folder: Path) -> tuple[UnshearNet, Variables]:
     """Load a disentangled network over images with its DS. Raises UserError for any other."""
-    check_training(folder)
-    net = read_net(folder)
+    net, variables, _ = load_network(folder)
     if not isinstance(net, UnshearNet) or not net.disentangled:
         raise UserError(
             f"{folder} holds no disentangled network over images: there are no codes to swap; "
             "of a network over pins the table is in results.json"
         )
-    variables = load_best(folder)
     if net.shear_channels and "DS" not in variables["params"]:
         raise UserError(
             f"{folder} holds released weights, which leave out DS: "

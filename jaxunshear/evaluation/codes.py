@@ -19,11 +19,11 @@ from jaxunshear.config.networks import DISENTANGLED
 from jaxunshear.data.reader import Reader
 from jaxunshear.data.stored_sets import FactorialReader
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.intervals import compute_interval, number_poses, resample_means
+from jaxunshear.evaluation.intervals import compute_interval, resample_means
 from jaxunshear.files import Json
 from jaxunshear.models import registry
 from jaxunshear.models.weights import Net, Variables
-from jaxunshear.selection import select_evenly
+from jaxunshear.selection import number_poses, select_evenly
 from jaxunshear.training.checkpoint import load_network
 from jaxunshear.training.examples import open_examples
 

@@ -14,8 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.config.targets import Targets, read_true_values
-from jaxunshear.data.reader import Batch
-from jaxunshear.evaluation.intervals import number_poses
+from jaxunshear.data.reader import Batch, concatenate_batches
 from jaxunshear.evaluation.network_outputs import Run
 from jaxunshear.evaluation.pose_estimators import RidgeEstimator, estimate_poses
 from jaxunshear.evaluation.score import (
@@ -23,13 +22,12 @@ from jaxunshear.evaluation.score import (
     TRUE_KIND,
     Outputs,
     compute_differences,
-    concatenate_batches,
     score_poses,
 )
 from jaxunshear.models.modality import IMAGES, PINS
 from jaxunshear.perception.drawing import to_uint8
 from jaxunshear.progress import Progress
-from jaxunshear.selection import select_evenly
+from jaxunshear.selection import number_poses, select_evenly
 
 BATCH = 32  # contacts that are scored at once
 QUALITY = ("residual_mm", "iterations", "stuck", "slipping", "free")  # of simulated contacts

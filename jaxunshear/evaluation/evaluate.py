@@ -6,7 +6,6 @@ Which contacts are tested, and what else is known of them, differs between simul
 ones: `simulated_evaluation` and `recorded_evaluation`.
 """
 
-import io
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,7 +21,7 @@ from jaxunshear.data.sources import open_source
 from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.result_tables import finish_results
 from jaxunshear.evaluation.score import SMOOTH, choose_main_kind
-from jaxunshear.files import write_bytes
+from jaxunshear.files import write_npz
 from jaxunshear.inference.forward import jit_for_inference
 from jaxunshear.models.registry import get_net_modality, predict, unshear
 from jaxunshear.results.record_files import read_times, write_record
@@ -67,12 +66,12 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     )
     results = finish_results(results, experiment, run_dir, command)
     if evaluated.scores is not None:
-        write_bytes(run_dir / "scores.npz", encode_scores(evaluated.scores))
+        write_npz(run_dir / "scores.npz", collect_scores(evaluated.scores), compressed=True)
         if evaluated.montage_names:
-            montage = encode_montage(evaluated.montage_names, evaluated.scores)
-            write_bytes(run_dir / "montage.npz", montage)
+            montage = collect_montage(evaluated.montage_names, evaluated.scores)
+            write_npz(run_dir / "montage.npz", montage, compressed=True)
     for name, scores in evaluated.further.items():
-        write_bytes(run_dir / f"scores-{name}.npz", encode_scores(scores))
+        write_npz(run_dir / f"scores-{name}.npz", collect_scores(scores), compressed=True)
     write_record(run_dir / "results.json", results)
     return results
 
@@ -92,8 +91,8 @@ def _time_network(folder: Path) -> dict[str, float]:
     return {"median": float(np.median(counted)), "p95": float(np.percentile(counted, 95))}
 
 
-def encode_scores(contacts: ContactScores) -> bytes:
-    """Encode all scores as npz, with labels, among them poses.
+def collect_scores(contacts: ContactScores) -> dict[str, np.ndarray]:
+    """Collect all scores of scores.npz, with labels, among them poses.
 
     Labels are `stimulus`, `pose_id`, SMOOTH if known, the poses as `Scorer.label_poses` names them,
     and of slides `slide_mm` and `depth_mm`. All are (N,) by name.
@@ -105,11 +104,11 @@ def encode_scores(contacts: ContactScores) -> bytes:
     if "move" in labels:
         arrays["slide_mm"] = np.hypot(*labels["move"][:, :2].T)
         arrays["depth_mm"] = labels["pose"][:, 3]
-    return _encode_npz({**contacts.scores, **arrays})
+    return {**contacts.scores, **arrays}
 
 
-def encode_montage(names: tuple[str, ...], contacts: ContactScores) -> bytes:
-    """Encode a few contacts as npz: of each stimulus one of low, middling and high similarity.
+def collect_montage(names: tuple[str, ...], contacts: ContactScores) -> dict[str, np.ndarray]:
+    """Collect a few contacts of each stimulus: one of low, middling and high similarity.
 
     The similarity is that of the unsheared image. Images (M, S, S) uint8 are by kind, `stimulus`
     (M,) are names, `pose` is (M, 4 or 6), `move` (M, 2 or 3), and `ms_ssim_<kind>` (M,).
@@ -128,13 +127,7 @@ def encode_montage(names: tuple[str, ...], contacts: ContactScores) -> bytes:
         arrays[kind] = images[shown]
         if kind != "tap":
             arrays[f"ms_ssim_{kind}"] = contacts.scores[f"ms_ssim/{kind}"][rows]
-    return _encode_npz(arrays)
-
-
-def _encode_npz(arrays: dict[str, np.ndarray]) -> bytes:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
-    return buffer.getvalue()
+    return arrays
 
 
 def select_typical(scores: np.ndarray, stimulus: np.ndarray) -> np.ndarray:

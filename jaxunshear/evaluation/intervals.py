@@ -29,12 +29,6 @@ ELSEWHERE_NOTE = (
 ByKind = dict[str, dict[str, float]]  # by kind of contact and target
 
 
-def number_poses(stimulus: np.ndarray, pose_id: np.ndarray) -> np.ndarray:
-    """Count up the poses (N,) of contacts, by their stimulus (N,) and its pose (N,)."""
-    pairs = np.stack([stimulus, pose_id], axis=1)
-    return np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1)
-
-
 def resample_means(
     values: Mapping[str, np.ndarray], poses: np.ndarray, seed: int
 ) -> dict[str, np.ndarray]:

@@ -6,19 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.targets import SIMULATED_FIELDS, Target, make_range_targets, read_true_values
+from jaxunshear.config.targets import read_true_values
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.codes import CodeNetwork, split_by_slip
-from jaxunshear.evaluation.intervals import LEVEL, compute_interval, number_poses, resample_means
+from jaxunshear.evaluation.intervals import LEVEL, compute_interval, resample_means
 from jaxunshear.evaluation.pose_estimators import compute_pin_features
 from jaxunshear.evaluation.probes import fit_gaussian, prepare_task
 from jaxunshear.files import Json
 from jaxunshear.models.modality import PINS
-from jaxunshear.selection import select_evenly
+from jaxunshear.selection import number_poses, select_evenly
 
 MOST_SLIDES = {"train": 4000, "validation": 2000, "test": 2000}  # evenly chosen
 LABELS = ("pose", "move", "stimulus", "pose_id")
@@ -56,15 +55,13 @@ def read_splits(
     Slides of the pose are scaled by their range; slides are in mm and deg, simulated ones in the
     sensor's frame, recorded ones in the frame of their labels.
     """
-    # all components of the pose that the data vary
-    if isinstance(experiment.paired, PairedData):
-        targets = make_range_targets((), experiment.paired.ranges, tuple(SIMULATED_FIELDS))
-    else:
-        targets = open_source(experiment).open_stored(data_dir).make_targets(())
+    targets = open_source(experiment).make_pose_targets(data_dir)
     splits = {}
     for split, most in MOST_SLIDES.items():
         batch = _read_labelled_slides(examples.reader, split, most, networks[""].modality.sheared)
-        quantities = {("pose", target.name): _scale_pose(target, batch) for target in targets}
+        quantities: dict[Quantity, np.ndarray] = {}
+        for target in targets:
+            quantities["pose", target.name] = target.scale(batch[target.field][:, target.column])
         for name, value in read_true_values(examples.slide_targets, batch).items():
             quantities["slide", name] = value[:, None]
         features = {"pins": compute_pin_features(batch[PINS.sheared])}
@@ -97,14 +94,6 @@ def _read_labelled_slides(reader: Reader, split: str, most: int, inputs: str) ->
     return reader.take(
         split, rows, tuple(dict.fromkeys((PINS.sheared, inputs, *LABELS, *optional)))
     )
-
-
-def _scale_pose(target: Target, batch: Batch) -> np.ndarray:
-    value = batch[target.field][:, target.column].astype(np.float64)
-    if target.is_circular:
-        angle = np.radians(value)
-        return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return np.stack([(value - target.centre) / target.half_range], axis=-1)
 
 
 def estimate_slides(splits: Mapping[str, ProbeSplit]) -> list[Json]:

@@ -22,12 +22,10 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import POSENET, POSENETS
 from jaxunshear.config.targets import Targets, list_label_fields, locate_targets
 from jaxunshear.data.reader import Batch, Reader
-from jaxunshear.data.recorded_contacts import compute_digest, read_test_contacts
-from jaxunshear.data.recorded_frames import prepare_chunks
-from jaxunshear.data.recorded_set import RecordedSet, UnstoredSet
-from jaxunshear.data.recorded_source import read_pin_layout
+from jaxunshear.data.recorded_contacts import compute_digest
+from jaxunshear.data.recorded_set import RecordedSet, read_other_recordings
+from jaxunshear.data.recorded_source import RecordedSource, read_pin_layout
 from jaxunshear.data.sensor_frame import parse_frame
-from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.contact_scores import BATCH, ContactScores, Scorer, TestSet, score_test
 from jaxunshear.evaluation.evaluate import EvaluatedRun
@@ -62,7 +60,7 @@ def evaluate_recordings(experiment: Experiment, run_dir: Path, data_dir: Path) -
 
     Raises `UserError` if nothing can be scored, or a network or the data set is missing or damaged.
     """
-    stored = open_source(experiment).open_stored(data_dir)
+    stored = RecordedSource(experiment).open_stored(data_dir)
     targets = stored.make_targets(experiment.targets)
     test = _choose_test(experiment, stored, targets, run_dir, data_dir)
     scorer = _load_scorer(experiment, run_dir, stored, targets)
@@ -117,12 +115,10 @@ def score_recordings(
         settings, tap_folder=str(recordings), slide_folder=str(recordings), digest=digest, pairs=""
     )
     folder = Path(data_dir) / ".partial" / f"unseen-{digest}"
-    # with crop and rest positions of the run's own sensor
-    contacts, stored_frame = read_test_contacts(settings), read_object(run_dir / FRAME)
+    # crop and rest positions of the run's own sensor
+    stored_frame = read_object(run_dir / FRAME)
     frame = parse_frame(stored_frame)
-    paths = prepare_chunks(contacts, settings, frame, folder, f"read {settings.slide_folder}")
-    unstored = UnstoredSet(contacts, paths, stored_frame)
-    stored = RecordedSet(settings, unstored, targets=experiment.targets)
+    stored = read_other_recordings(settings, stored_frame, folder, experiment.targets)
     targets = locate_targets(read_targets(run_dir / experiment.networks[-1]), stored.columns)
     unseen = dataclasses.replace(experiment, paired=settings)
     appearance = measure_sensor_appearance(frame.rest, frame.size)
@@ -182,7 +178,7 @@ def _choose_test(
         if data_dir and unshears:
             helpers = HelperLoader(experiment, data_dir, run_dir)
             images = get_modality(experiment) is not PINS
-            slides = open_source(experiment).open_pairs(stored, targets, helpers, images)
+            slides = RecordedSource(experiment).open_pairs(stored, targets, helpers, images)
         else:
             slides = stored.read_slides()
     if stored.count_contacts("taps", "test") and POSENET in experiment.networks:

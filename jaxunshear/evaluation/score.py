@@ -5,7 +5,7 @@ Scores are (N,) by name: `ms_ssim/<kind>`, `swap/<cell>/<metric>`, `pins/<kind>`
 `difference/<kind>/<ms_ssim or quantity>`.
 """
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -133,11 +133,3 @@ def compute_chance_errors(true: dict[str, np.ndarray], targets: Targets) -> dict
             counts = np.bincount(true[target.name].astype(int))
             middle[target.name][:] = np.argmax(counts)
     return {name: float(error.mean()) for name, error in compute_pose_errors(middle, true).items()}
-
-
-def concatenate_batches(batches: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Concatenate the arrays of all batches, name by name."""
-    arrays = {}
-    for name in batches[0]:
-        arrays[name] = np.concatenate([batch[name] for batch in batches])
-    return arrays

@@ -93,7 +93,7 @@ class ContactPredictions(NamedTuple):
         return jax.tree.map(lambda values: values[rows], self)
 
     @property
-    def accepted(self) -> np.ndarray:
+    def has_prediction(self) -> np.ndarray:
         """Which contacts (N,) have a prediction."""
         return np.isfinite(next(iter(self.poses[AS_RECORDED].values())))
 
@@ -204,7 +204,7 @@ def _score_networks(labels: Sequence[str], predictions: _Predictions) -> dict[st
 def _compute_network_errors(
     alignments: dict[str, LabelAlignment], contacts: ContactPredictions, kind: str
 ) -> Errors:
-    accepted = contacts.accepted
+    accepted = contacts.has_prediction
     poses = {name: values[accepted] for name, values in contacts.poses[kind].items()}
     aligned = {name: alignment.apply(poses) for name, alignment in alignments.items()}
     return _compute_mean_errors(aligned, contacts.labels[accepted])
@@ -246,7 +246,7 @@ def _compute_mean_errors(poses: dict[str, np.ndarray], labels: np.ndarray) -> Er
 def _count_contacts(predictions: _Predictions) -> Counts:
     accepted, rejected = [], []
     for contacts in predictions:
-        accepted.append(int(contacts.accepted.sum()))
+        accepted.append(int(contacts.has_prediction.sum()))
         rejected.append(len(contacts.labels) - accepted[-1])
     return Counts(
         known_taps=accepted[0],

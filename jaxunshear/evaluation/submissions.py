@@ -19,6 +19,7 @@ from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.targets import get_unit, make_label_targets
 from jaxunshear.data.labels import IMAGE_COLUMNS, name_labels, normalise_text
 from jaxunshear.data.pairing import match_same_pose, take_rows
+from jaxunshear.data.reader import concatenate_batches
 from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contacts
 from jaxunshear.data.recordings import (
     PROBES,
@@ -30,7 +31,7 @@ from jaxunshear.data.recordings import (
 from jaxunshear.data.tables import read_table
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.result_tables import Resampled, resample
-from jaxunshear.evaluation.score import compute_chance_errors, concatenate_batches, score_poses
+from jaxunshear.evaluation.score import compute_chance_errors, score_poses
 from jaxunshear.files import BROKEN_NPZ, Json, parse_number, read_npz
 from jaxunshear.metrics import count_scales, format_ms_ssim_name, ms_ssim, mse, ssim
 from jaxunshear.perception.grey import to_grey

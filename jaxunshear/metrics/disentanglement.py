@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.metrics import mutual_info_score
+from sklearn.metrics.pairwise import euclidean_distances
+from sklearn.preprocessing import KernelCenterer
 
 BINS = 20
 TREES = 100
@@ -92,7 +94,7 @@ def _compute_gap(scores: Float[np.ndarray, "2 K"], owner: Int[np.ndarray, "K"]) 
 
 
 def _compute_entropy(shares: Float[np.ndarray, "M 2"]) -> Float[np.ndarray, "M"]:
-    """Compute the entropy of each row, in bits."""
+    """Compute the entropy of each row, in bits; 0 for a row of zeros."""
     p = shares / np.maximum(shares.sum(axis=1, keepdims=True), 1e-12)
     return -np.sum(p * np.log2(np.maximum(p, 1e-12)), axis=1)
 
@@ -113,7 +115,7 @@ def compute_hsic(
     """
     if len(one) < 4 or len(one) != len(other):
         raise ValueError("HSIC takes two arrays of one length, at least 4")
-    k, m = _centre_kernel(_compute_kernel(one)), _centre_kernel(_compute_kernel(other))
+    k, m = _compute_centred_kernel(one), _compute_centred_kernel(other)
     scale = float(np.sqrt(np.sum(k * k) * np.sum(m * m)))
     if not scale:
         return 0.0, 1.0
@@ -124,13 +126,9 @@ def compute_hsic(
     return criterion / scale, (1 + higher) / (1 + PERMUTATIONS)
 
 
-def _compute_kernel(values: np.ndarray) -> np.ndarray:
-    values = values.reshape(len(values), -1).astype(np.float64)
-    squares = np.sum(values**2, axis=1)
-    distances = np.maximum(squares[:, None] + squares - 2 * values @ values.T, 0)
+def _compute_centred_kernel(values: np.ndarray) -> np.ndarray:
+    rows = values.reshape(len(values), -1).astype(np.float64)
+    distances = euclidean_distances(rows, squared=True)
     median = float(np.median(distances[np.triu_indices(len(values), 1)]))
-    return np.exp(-distances / median) if median > 0 else np.ones_like(distances)
-
-
-def _centre_kernel(kernel: np.ndarray) -> np.ndarray:
-    return kernel - kernel.mean(axis=0) - kernel.mean(axis=1, keepdims=True) + kernel.mean()
+    kernel = np.exp(-distances / median) if median > 0 else np.ones_like(distances)
+    return KernelCenterer().fit_transform(kernel)

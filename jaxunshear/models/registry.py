@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from jaxunshear.config import networks
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.types import claim_name
 from jaxunshear.models import pin_networks, posenet, unet, unshearnet
 from jaxunshear.models.modality import IMAGES, PINS, Modality
 from jaxunshear.models.reconstruction import Reconstruction
@@ -137,6 +138,7 @@ def register_network(
     `title` is that of its images in tables and figures. Raises UserError if another network has
     this name.
     """
+    claim_name("network", name, networks.REGISTRY, make_settings.__code__.co_filename)
     networks.add_network(
         networks.NetworkSpec(
             name,
@@ -145,7 +147,6 @@ def register_network(
             title or name,
             modalities=(functions.modality.name,),
             make_settings=make_settings,
-            file=make_settings.__code__.co_filename,
         )
     )
     _FUNCTIONS[functions.settings] = functions

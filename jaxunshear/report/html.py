@@ -5,17 +5,17 @@ All text is escaped; only `Markup` is taken as HTML.
 
 import base64
 import html
-import io
 import re
 from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
-from PIL import Image
 
+from jaxunshear.perception.drawing import encode_png
 from jaxunshear.results.run import Scores, Span
 
+SMALLEST = 9  # level of zlib
 _ENVIRONMENT = Environment(
     loader=PackageLoader("jaxunshear", "report"),
     autoescape=True,
@@ -34,6 +34,7 @@ page, opening, contents, compared = map(get_macro, ("page", "opening", "contents
 section, card, cards, table = map(get_macro, ("section", "card", "cards", "table"))
 montage, caption, figure = map(get_macro, ("montage", "caption", "figure"))
 folded, listed, row, soft, code = map(get_macro, ("folded", "listed", "row", "soft", "code"))
+recovery = get_macro("recovery")
 
 
 def build_contents(sections: Iterable[Markup]) -> Markup:
@@ -59,9 +60,7 @@ def make_png_address(png: bytes) -> str:
 
 def encode_pixels(pixels: np.ndarray) -> str:
     """Return a `data:` address of a PNG of pixels (H, W) or (H, W, 3) uint8."""
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "png", optimize=True)
-    return make_png_address(buffer.getvalue())
+    return make_png_address(encode_png(pixels, SMALLEST))
 
 
 def format_number(value: float | None, digits: int = 2) -> str:

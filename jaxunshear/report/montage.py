@@ -13,7 +13,7 @@ from jaxunshear.perception.drawing import MISSING, SURPLUS, compare_images
 from jaxunshear.report import html
 from jaxunshear.report.wording import Wording, section
 
-MontageImages = dict[str, np.ndarray]  # as `evaluation.evaluate.encode_montage` writes it
+MontageImages = dict[str, np.ndarray]  # as `evaluation.evaluate.collect_montage` gives it
 
 
 class Cell(NamedTuple):

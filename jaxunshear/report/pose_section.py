@@ -6,7 +6,7 @@ from jaxunshear.config.targets import get_unit
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.report import html, wording
 from jaxunshear.report.html import format_cells, format_number
-from jaxunshear.report.score_sections import describe_differences, judge_difference
+from jaxunshear.report.score_sections import describe_differences
 from jaxunshear.report.wording import Wording
 from jaxunshear.results.run import Parts, Results, Span
 
@@ -76,13 +76,11 @@ def _describe_recovery(results: Results, words: Wording) -> Markup:
         return Markup()
     recovery, spread = results.pose_recovery[kind], results.spread.pose_recovery[kind]
     for name in words.digits:
-        text, value = words.recovery.undamaged, recovery.get(name)
+        text, value = "none, as slides do no harm", recovery.get(name)
         if value is not None:
-            form = words.recovery.form
-            text = f"{value:{form}}{_format_interval(spread[name], form)}"
-        if text:
-            parts.append(f"{wording.name_quantity(name)} {text}")
-    return wording.write_recovery(results, words, kind, parts)
+            text = f"{value:.2f}{_format_interval(spread[name], '.2f')}"
+        parts.append(f"{wording.name_quantity(name)} {text}")
+    return wording.write_recovery(results, kind, parts)
 
 
 def _format_interval(interval: Span, form: str) -> str:
@@ -114,31 +112,9 @@ def _build_parts(results: Results, words: Wording, parts: Parts | None, by: str)
 
 def _describe_differences(results: Results, words: Wording) -> list[Markup]:
     """Describe the disentangled network less each other one, contact by contact."""
-    if words.differences == "by kind":
-        kinds = [kind for kind, scores in results.difference.items() if set(scores) != {"ms_ssim"}]
-        return [_describe_difference(results, words, kind) for kind in kinds]
-    names = words.main_targets
     subjects = {"edge_mm": "mm from the edge"}
-    if "edge_mm" not in names:
-        subjects = {name: f"{get_unit(name)} of {wording.name_quantity(name)}" for name in names}
+    if "edge_mm" not in words.digits:
+        subjects = {n: f"{get_unit(n)} of {wording.name_quantity(n)}" for n in words.digits}
     return [
         describe_differences(results, name, subject, 3, -1) for name, subject in subjects.items()
     ]
-
-
-def _describe_difference(results: Results, words: Wording, kind: str) -> Markup:
-    differences, spread = results.difference[kind], results.spread.difference[kind]
-    parts = []
-    for name, digits in words.digits.items():
-        form = f"+.{digits}f"
-        interval = _format_interval(spread[name], form)
-        figure = f"{differences[name]:{form}}{interval} {get_unit(name)}"
-        verdict = judge_difference(spread[name], -1) or "within chance"
-        quantity = wording.name_quantity(name)
-        parts.append(Markup("{} <b>{}</b> ({})").format(quantity, verdict, figure))
-    other = words.kinds[kind]
-    if kind == "sheared_learnt":
-        other = "a PoseNet that learnt from slides directly"
-    return Markup(
-        "<p>Slide by slide, the disentangled network's slides against {}: {}.</p>"
-    ).format(other, Markup("; ").join(parts))

@@ -58,7 +58,7 @@ def describe_differences(
         if value is None or interval is None:
             continue
         low, high = interval
-        verdict = judge_difference(interval, better) or "not distinguishable"
+        verdict = _judge_difference(interval, better) or "not distinguishable"
         name = wording.KINDS[kind].removeprefix("unsheared, ").removeprefix("sheared, ")
         form = f"+.{digits}f"
         parts.append(f"{name} {value:{form}} [{low:{form}}, {high:{form}}] ({verdict})")
@@ -68,7 +68,7 @@ def describe_differences(
     return html.soft(f"Contact by contact, disentangled less other networks, {subject}: {others}.")
 
 
-def judge_difference(interval: Span, better: int) -> str:
+def _judge_difference(interval: Span, better: int) -> str:
     """Say whether a difference is "better" or "worse"; empty if its interval includes zero."""
     low, high = interval or (0.0, 0.0)
     if low <= 0 <= high:

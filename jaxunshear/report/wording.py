@@ -8,7 +8,6 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from markupsafe import Markup
 
@@ -29,15 +28,6 @@ EDGE_NOTE = (
     "are not."
 )
 MAX_CARDS = 3  # quantities with a card, at most
-
-
-@dataclass(frozen=True)
-class RecoveryWords:
-    """Words for the parts of the sentence on recovery."""
-
-    separator: str  # of quantities
-    form: str  # of a number
-    undamaged: str  # of a quantity in which slides do no damage; it is left out if empty
 
 
 @dataclass(frozen=True)
@@ -69,8 +59,6 @@ class Wording:
     digits: Mapping[str, int]  # decimals of errors, by target
     main_targets: list[str]  # with which the page begins
     posenet: str
-    recovery: RecoveryWords
-    differences: Literal["by quantity", "by kind"]
     pin_row: str  # of the target's own pins
     pin_truth: str
     validation_error: str
@@ -143,15 +131,13 @@ def _describe_posenet(text: str, results: Results) -> str:
     return text.format(lessons=lessons) + edges
 
 
-def write_recovery(results: Results, words: Wording, network: str, parts: list[str]) -> Markup:
+def write_recovery(results: Results, network: str, parts: list[str]) -> Markup:
     """Write the recoveries of a network, beside the paper's, which are of another sensor."""
     error, papers = results.paper["pose_mae"], []
     for name, sheared in error["sheared"].items():
         recovery = (sheared - error[DISENTANGLED][name]) / (sheared - error["tap"][name])
         papers.append(f"{recovery:.2f} in {name_quantity(name)}")
-    listed = words.recovery.separator.join(parts) or "none"
-    write = html.get_macro(f"{words.source}_recovery")
-    return write(network, listed, " and ".join(papers))
+    return html.recovery(network, "; ".join(parts), " and ".join(papers))
 
 
 def list_targets(results: Results) -> list[str]:

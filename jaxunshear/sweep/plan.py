@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.load import list_registering_files
 from jaxunshear.config.network_config import (
     NetworkConfig,
     list_required_networks,
@@ -24,7 +23,8 @@ from jaxunshear.config.network_config import (
 )
 from jaxunshear.config.networks import TRAINABLE
 from jaxunshear.config.serialization import from_json, to_json
-from jaxunshear.data.sources import list_source_files, open_source
+from jaxunshear.config.types import list_registering_files
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_object
 from jaxunshear.results.record_files import write_record
@@ -77,21 +77,17 @@ def make_data_task(folder: Path, rows: list[Row], data: Path) -> Task:
         kind=task.kind,
         experiments=[*map(to_json, experiments.values())],
         data=str(data),
-        files=_list_files(),
+        files=list_registering_files(),
     )
     write_record(task.folder / TASK, order)
     return task
-
-
-def _list_files() -> list[str]:
-    return sorted({*list_registering_files(), *list_source_files()})
 
 
 def plan_tasks(
     folder: Path, rows: list[Row], ablation: bool, data: Path, command: str
 ) -> list[Task]:
     """Plan the unfinished `rows`, after the trainings that they share; writes each task.json."""
-    order = TaskOrder(kind="", data=str(data), command=command, files=_list_files())
+    order = TaskOrder(kind="", data=str(data), command=command, files=list_registering_files())
     finished = _find_finished_trainings(folder)
     missing = [_list_missing_trainings(folder, row) for row in rows]
     users = Counter(format_training_name(config) for config in itertools.chain(*missing))

@@ -25,6 +25,7 @@ from jaxunshear.evaluation.score import SMOOTH
 from jaxunshear.files import BROKEN_NPZ, explain_os_error, read_npz
 from jaxunshear.results.run import Notes, Results
 from jaxunshear.results.sweep import Outcome
+from jaxunshear.selection import number_poses
 
 SCORES = "scores.npz"  # of an evaluation, beside scores-<test>.npz
 SEED = 0
@@ -133,7 +134,7 @@ def _get_contact_settings(rows: Mapping[int, RowScores], test: str) -> dict[str,
 def number_contact_poses(rows: Mapping[int, RowScores], test: str) -> np.ndarray:
     """Count up the poses of all stimuli and return the number of each contact, (N,)."""
     labels = _get_labels(rows, test)
-    return intervals.number_poses(labels["stimulus"], labels["pose_id"])
+    return number_poses(labels["stimulus"], labels["pose_id"])
 
 
 def _get_labels(rows: Mapping[int, RowScores], test: str) -> Mapping[str, np.ndarray]:

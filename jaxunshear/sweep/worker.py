@@ -163,23 +163,15 @@ def _copy_training(source: Path, target: Path) -> None:
         outcome = read_outcome(source.parent, "training")
         reason = outcome.reason if outcome else "it was not finished"
         raise UserError(f"its {target.name}, which other rows share, failed: {reason}")
-    _check_checkpoints(source)
+    from jaxunshear.training.checkpoint import check_checkpoints, load_best
+
+    check_checkpoints(source)
+    load_best(source)  # so that the error of a damaged one names its own folder
     part = target.with_name(target.name + ".part")
     for old in (part, target):
         shutil.rmtree(old, ignore_errors=True)
     shutil.copytree(source, part)
     part.rename(target)
-
-
-def _check_checkpoints(source: Path) -> None:
-    """Refuse to copy a lost or damaged training, so that the error names its own folder."""
-    from jaxunshear.training.checkpoint import has_model, load_best
-
-    if not has_model(source):
-        raise UserError(
-            f"{source} has lost its checkpoints: delete that folder, then run the same command"
-        )
-    load_best(source)
 
 
 def _summarise_trainings(order: TaskOrder, folder: Path) -> Outcome:

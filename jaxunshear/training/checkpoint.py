@@ -107,6 +107,14 @@ def has_model(folder: Path) -> bool:
     return (Path(folder) / WEIGHTS).exists() or find_latest_step(folder) is not None
 
 
+def check_checkpoints(folder: Path) -> None:
+    """Raise UserError if a training that was finished has lost its checkpoints."""
+    if not has_model(folder):
+        raise UserError(
+            f"{folder} has lost its checkpoints: delete that folder, then run the same command"
+        )
+
+
 def check_training(folder: Path) -> None:
     """Raise UserError if the training in `folder` was started and not finished.
 

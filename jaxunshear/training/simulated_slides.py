@@ -24,7 +24,7 @@ from jaxunshear.calibration.labels import find_depth_axis
 from jaxunshear.calibration.prediction import DEFAULT_CALIBRATION
 from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.data.chunks import load_chunk, write_chunks
+from jaxunshear.data.chunks import join_field, load_chunk, write_chunks
 from jaxunshear.data.pairing import SlideSimulator
 from jaxunshear.data.reader import Batch
 from jaxunshear.data.recorded_set import RecordedSet
@@ -46,7 +46,7 @@ Simulate = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.n
 class SlideMotions(NamedTuple):
     """Simulated motions of M taps of a split."""
 
-    row: np.ndarray  # (M,) of the taps
+    number: np.ndarray  # (M,) of the taps
     motion: np.ndarray  # (M, P, 2) px
     move: np.ndarray  # (M, 6) the slides, mm and deg
 
@@ -108,14 +108,14 @@ def _simulate_motions(
     rows = np.flatnonzero(np.isfinite(taps.pins).any((1, 2)))
     parts = [rows[start : start + chunk] for start in range(0, len(rows), chunk)]
 
-    def make(missing: list[int]) -> Iterator[Batch]:
+    def make(missing: list[int]) -> Iterator[tuple[int, Batch]]:
         for index in missing:
             generator = np.random.default_rng([VERSION, *split.encode(), index])
-            yield _simulate_chunk(simulate, taps.pose, parts[index], generator)
+            yield index, _simulate_chunk(simulate, taps.pose, parts[index], generator)
 
     paths = write_chunks(folder, parts, make, f"simulate slides ({split})")
     chunks = [load_chunk(path) for path in paths]
-    fine = _join(chunks, "fine")
+    fine = join_field(chunks, "fine")
     if not fine.all():
         print(
             f"simulated slides ({split}): {int((~fine).sum())} of {len(fine)} out of reach or not "
@@ -125,13 +125,7 @@ def _simulate_motions(
         raise UserError(
             f"paired.pairing simulated: of {len(fine)} slides none converged: use another pairing"
         )
-    return SlideMotions(
-        _join(chunks, "row")[fine], _join(chunks, "motion")[fine], _join(chunks, "move")[fine]
-    )
-
-
-def _join(chunks: list[Batch], name: str) -> np.ndarray:
-    return np.concatenate([chunk[name] for chunk in chunks])
+    return SlideMotions(*(join_field(chunks, name)[fine] for name in SlideMotions._fields))
 
 
 def _simulate_chunk(
@@ -142,7 +136,7 @@ def _simulate_chunk(
     move[:, along] = generator.uniform(-1, 1, (len(rows), 2)) * SLIDE_MM
     move[:, 3:] = generator.uniform(-1, 1, (len(rows), 3)) * TWIST_DEG
     motion, fine = simulate(pose[rows], move, generator.uniform(*FRICTION, len(rows)))
-    return {"row": rows, "motion": motion, "move": move.astype(np.float32), "fine": fine}
+    return {"number": rows, "motion": motion, "move": move.astype(np.float32), "fine": fine}
 
 
 def _vary_slides(
@@ -150,8 +144,8 @@ def _vary_slides(
 ) -> Batch:
     rest, spacing_px = np.array(stored.frame["place_px"]), stored.frame["spacing_px"]
     generator = np.random.default_rng([VERSION, *split.encode()])
-    repeats = np.tile(np.arange(len(motions.row)), SLIDES_PER_MOTION)
-    row = motions.row[repeats]
+    repeats = np.tile(np.arange(len(motions.number)), SLIDES_PER_MOTION)
+    row = motions.number[repeats]
     factor = generator.uniform(*MOTION_FACTOR, len(repeats))[:, None, None]
     angle = np.radians(TURNED_DEG) * generator.standard_normal(len(repeats))
     moved = (taps.pins[row] - rest + factor * motions.motion[repeats]) @ rotation_2d(-angle)

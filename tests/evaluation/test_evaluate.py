@@ -1,6 +1,5 @@
 """From arrays to results.json with an oracle, networks that do nothing, and made-up data."""
 
-import io
 import json
 
 import numpy as np
@@ -11,7 +10,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import make_range_targets, read_true_values
 from jaxunshear.evaluation import contact_scores
 from jaxunshear.evaluation.contact_scores import BATCH, FIELDS, Scorer, score_test
-from jaxunshear.evaluation.evaluate import encode_montage, encode_scores
+from jaxunshear.evaluation.evaluate import collect_montage, collect_scores
 from jaxunshear.evaluation.measurements import build_measurements
 from jaxunshear.evaluation.score import CELLS, Outputs, compute_chance_errors, score_images
 from jaxunshear.evaluation.simulated_evaluation import build_simulated_results, mark_smooth
@@ -168,18 +167,18 @@ def test_a_test_of_its_own_has_tables_of_its_own(gathered):
 
 
 def test_scores_are_kept_contact_by_contact(gathered):
-    with np.load(io.BytesIO(encode_scores(gathered))) as kept:
-        poses = [name for name in gathered.labels if name.startswith("pose.")]
-        labels = ("stimulus", "pose_id", "slide_mm", "depth_mm", *poses)
-        assert set(kept) == {*gathered.scores, *labels} and "pose.sheared.edge_mm" in poses
-        np.testing.assert_allclose(kept["slide_mm"], np.sqrt(2))
-        np.testing.assert_allclose(
-            np.abs(kept["pose.sheared.edge_mm"] - kept["pose.true.edge_mm"]),
-            kept["pose/sheared/edge_mm"],
-            atol=1e-5,
-        )
-        for name, score in gathered.scores.items():
-            np.testing.assert_array_equal(kept[name], score)
+    kept = collect_scores(gathered)
+    poses = [name for name in gathered.labels if name.startswith("pose.")]
+    labels = ("stimulus", "pose_id", "slide_mm", "depth_mm", *poses)
+    assert set(kept) == {*gathered.scores, *labels} and "pose.sheared.edge_mm" in poses
+    np.testing.assert_allclose(kept["slide_mm"], np.sqrt(2))
+    np.testing.assert_allclose(
+        np.abs(kept["pose.sheared.edge_mm"] - kept["pose.true.edge_mm"]),
+        kept["pose/sheared/edge_mm"],
+        atol=1e-5,
+    )
+    for name, score in gathered.scores.items():
+        np.testing.assert_array_equal(kept[name], score)
 
 
 def test_edge_angles_are_also_given_where_the_edge_has_one_direction(gathered):
@@ -196,8 +195,8 @@ def test_edge_angles_are_also_given_where_the_edge_has_one_direction(gathered):
     assert "pose_smooth.disentangled.edge_deg" in names
     unmarked = build_simulated_results(experiment, gathered)
     assert found.pose_mae == unmarked.pose_mae and unmarked.pose_smooth is None
-    with np.load(io.BytesIO(encode_scores(marks))) as kept:
-        np.testing.assert_array_equal(kept["smooth"], smooth)
+    kept = collect_scores(marks)
+    np.testing.assert_array_equal(kept["smooth"], smooth)
 
 
 def test_marks_are_of_the_contacts_poses(gathered):
@@ -236,14 +235,14 @@ def test_the_last_batch_is_filled_up_so_that_one_shape_is_compiled():
 
 
 def test_montage_holds_a_few_of_each_stimulus(gathered):
-    with np.load(io.BytesIO(encode_montage(("disk", "clover", "teardrop"), gathered))) as shown:
-        assert set(shown["stimulus"].tolist()) == {"disk", "clover", "teardrop"}
-        count = len(shown["stimulus"])
-        assert 3 <= count <= 9
-        for kind in KINDS:
-            assert shown[kind].shape == (count, SIZE, SIZE)
-            assert shown[kind].dtype == np.uint8
-        np.testing.assert_allclose(shown["ms_ssim_disentangled"], 1, atol=1e-5)
+    shown = collect_montage(("disk", "clover", "teardrop"), gathered)
+    assert set(shown["stimulus"].tolist()) == {"disk", "clover", "teardrop"}
+    count = len(shown["stimulus"])
+    assert 3 <= count <= 9
+    for kind in KINDS:
+        assert shown[kind].shape == (count, SIZE, SIZE)
+        assert shown[kind].dtype == np.uint8
+    np.testing.assert_allclose(shown["ms_ssim_disentangled"], 1, atol=1e-5)
 
 
 def test_chance_is_the_error_of_one_answer():

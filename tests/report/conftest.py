@@ -10,7 +10,7 @@ import pytest
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.evaluation.contact_scores import ContactScores
-from jaxunshear.evaluation.evaluate import encode_montage
+from jaxunshear.evaluation.evaluate import collect_montage
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
 from jaxunshear.evaluation.simulated_evaluation import build_simulated_results
 from jaxunshear.files import to_builtins
@@ -100,7 +100,7 @@ def make_run(folder):
     results["counts"] |= {"contacts": 5400, "retried": 3, "dropped": 1}
     results["counts"]["reader_taps"] = {"pixels": 3000, "pins": 2999}
     (folder / "results.json").write_text(json.dumps(results))
-    (folder / "montage.npz").write_bytes(encode_montage(experiment.paired.stimuli, gathered))
+    np.savez(folder / "montage.npz", **collect_montage(experiment.paired.stimuli, gathered))
     later = {"entangled": 96.4, "posenet": 54.0, "evaluate": 31.7, "report": 2.1}
     (folder / "times.json").write_text(json.dumps(results["time_s"] | later))
     for network, terms in (

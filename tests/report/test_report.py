@@ -238,7 +238,7 @@ def test_a_simulated_run_may_have_other_targets(made_up_run, read_report):
         assert words in reported
     assert all(f"Error in {name} " in reported for name in ("x", "Rx", "y"))
     assert "x mm paper" in reported and "yaw" not in reported.split("All settings")[0]
-    assert "depth 7" in reported.split("Recovery, the part")[1]
+    assert "depth 0.7" in reported.split("Recovery, the part")[1]
 
 
 def test_difference_colours():

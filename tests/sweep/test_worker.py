@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from jaxunshear.config import load, losses
+from jaxunshear.config import losses, types
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.load import list_registering_files, run_file
+from jaxunshear.config.load import run_file
 from jaxunshear.config.serialization import to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import explain_os_error
@@ -48,7 +48,7 @@ def test_data_that_failed_are_tried_again_by_the_same_command(reason):
 
 def test_losses_of_an_experiment_file_are_known_to_the_process_of_a_row(tmp_path, monkeypatch):
     monkeypatch.setattr(losses, "LOSSES", dict(losses.LOSSES))
-    monkeypatch.setattr(load, "LOSSES", losses.LOSSES)
+    monkeypatch.setattr(types, "REGISTERED", {})
     file = tmp_path / "mine.py"
     file.write_text(
         "from jaxunshear.config.losses import register_loss\n"
@@ -56,7 +56,7 @@ def test_losses_of_an_experiment_file_are_known_to_the_process_of_a_row(tmp_path
         "def compute(inputs):\n    return inputs.outputs.canonical.sum((1, 2, 3))\n"
     )
     run_file(file)
-    assert list_registering_files() == [str(file)]
+    assert types.list_registering_files() == [str(file)]
     del losses.LOSSES["mine"]
     settings = to_json(Experiment(name="a", claim="b"))
     order = TaskOrder(kind="row", experiment=settings, files=[str(file)])
