@@ -245,7 +245,7 @@ def _find_unit_problems(table: LabelTable, values: np.ndarray, what: str) -> lis
     problems = []
     limits = ("positions", "mm", "metres", METRES), ("angles", "degrees", "radians", RADIANS[what])
     for columns, (name, unit, other, limit) in zip((slice(3), slice(3, 6)), limits, strict=True):
-        span = _compute_span(values[:, columns])
+        span = compute_span(values[:, columns])
         if NO_VARIATION < span < limit:
             text = f"{name} of {what}s vary by {span:.3g} at most, but are to be in {unit}"
             text += f": convert them if they are in {other}"
@@ -253,7 +253,7 @@ def _find_unit_problems(table: LabelTable, values: np.ndarray, what: str) -> lis
     return problems
 
 
-def _compute_span(values: np.ndarray) -> float:
+def compute_span(values: np.ndarray) -> float:
     """Compute how far the column of (N, K) that varies most does; 0 if too few rows are known."""
     known = values[np.isfinite(values).all(axis=1)]
     return float(np.ptp(known, axis=0).max()) if len(known) >= MIN_RANGED else 0.0

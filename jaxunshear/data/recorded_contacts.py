@@ -17,13 +17,14 @@ import numpy as np
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.splits import SPLITS, hash_text
-from jaxunshear.data.labels import join_columns, normalise_text, read_pair_table
+from jaxunshear.data.labels import compute_span, join_columns, normalise_text, read_pair_table
 from jaxunshear.data.recorded_splits import cut_block, read_folder_split, split_by_folders
 from jaxunshear.data.recordings import Recordings, read_recordings
 from jaxunshear.data.videos import is_video
 from jaxunshear.errors import UserError
 
 MIN_MOVE = 1e-6  # mm or deg: labels of a move below this are of a tap
+MAX_SPAN_RATIO = 40.0  # of taps' and slides' poses; a radian is 57 degrees
 DIGITS = 16  # of a digest
 PAIRS_PREFIX = "p"
 KINDS = {False: "tap", True: "slide"}  # by `is_slide`
@@ -87,8 +88,20 @@ def read_test_contacts(settings: Recorded) -> RecordedContacts:
         parts.append(_select_taps(read_folder(taps, settings.preprocess)))
     if slides and taps != slides:
         parts.append(_make_contacts(read_folder(slides, settings.preprocess), is_slide=True))
-    contacts = _join_contacts(parts)
+    contacts = _note_other_units(_join_contacts(parts))
     return _pair_by_table(contacts, Path(settings.pairs)) if settings.pairs else contacts
+
+
+def _note_other_units(contacts: RecordedContacts) -> RecordedContacts:
+    """Note that poses of taps and of slides seem to have different units."""
+    notes = []
+    for columns, name, unit in ((slice(3), "positions", "mm"), (slice(3, 6), "angles", "degrees")):
+        poses = contacts.pose[:, columns]
+        taps, slides = [compute_span(poses[contacts.is_slide == kind]) for kind in KINDS]
+        if min(taps, slides) > MIN_MOVE and max(taps, slides) > MAX_SPAN_RATIO * min(taps, slides):
+            varied = f"{name} of taps vary by {taps:.3g} and {name} of slides by {slides:.3g}"
+            notes.append(f"{varied}: are the units of both {unit}?")
+    return contacts._replace(notes=(*contacts.notes, *notes))
 
 
 def read_folder(folder: str, preprocess: Preprocess) -> Recordings:
