@@ -69,7 +69,7 @@ def format_notebook(notebook: Path) -> str:
             if picture := data.get("image/png"):
                 blocks.append(f"![What the code plots](data:image/png;base64,{picture.strip()})")
             elif text:
-                blocks.append(f"```text\n{text}\n```")
+                blocks.append(f"```output\n{text}\n```")
     return "\n\n".join(blocks)
 
 
@@ -83,11 +83,11 @@ def format_options() -> Iterator[str]:
         yield f"## Commands: {group}\n"
         for name in names:
             text = argparse.ArgumentParser.format_help(action.choices[name])
-            yield f"### {name}\n\n```text\n{text.rstrip()}\n```\n"
+            yield f"### {name}\n\n```output\n{text.rstrip()}\n```\n"
     yield "## Fields of an experiment\n"
     for group in list_group_names():
         title = f"--{group}." if group else "no group"
-        yield f"### {title}\n\n```text\n{format_field_help(group)}\n```\n"
+        yield f"### {title}\n\n```output\n{format_field_help(group)}\n```\n"
 
 
 def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files) -> str:

@@ -91,12 +91,19 @@ def validate(arguments: argparse.Namespace, command: str) -> int:
 
 def report(arguments: argparse.Namespace, command: str) -> int:
     check_new_folder(arguments.tables, "--tables")
+    check_new_folder(arguments.figures, "--figures")
     check_finished_run(arguments.run)
+    from jaxunshear.report.figures import write_figures
     from jaxunshear.report.report import write_report
+    from jaxunshear.style import collect_figures
 
-    page = write_report(arguments.run)
+    with collect_figures() as drawn:
+        page = write_report(arguments.run)
     print(page)
     _write_tables(page, arguments)
+    if arguments.figures:
+        written = write_figures(page, drawn, arguments.figures)
+        print(f"{len(written)} figures: {arguments.figures}")
     return 0
 
 
@@ -241,7 +248,11 @@ COMMANDS = (
         "report",
         "write the HTML page of a finished run",
         report,
-        (RUN, TABLES),
+        (
+            RUN,
+            TABLES,
+            path("--figures", "DIR", "also write every plot of the page as PDF"),
+        ),
         computes=False,
     ),
     Command(
