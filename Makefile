@@ -36,8 +36,9 @@ faults: $(READY)
 tables: $(READY)
 	$(BIN)/python -m docs.make_tables
 
-# Pages in site/: open site/index.html. Their search needs a server: python -m http.server -d site
+# Checks the prose; then pages in site/: open site/index.html. Their search needs a server: python -m http.server -d site
 docs: $(READY)
+	$(BIN)/python -m docs.prose
 	$(BIN)/python docs/make_diagrams.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 

@@ -23,6 +23,10 @@ TABLES = {
         partial(recorded_tables.tabulate_real_skin, "pins"),
         simulated_tables.tabulate_standard_first,
     ),
+    "docs/benchmark.md": (
+        recorded_tables.tabulate_edge_benchmark,
+        recorded_tables.tabulate_surface_benchmark,
+    ),
     "docs/pairings.md": (recorded_tables.tabulate_pairings,),
     "docs/another-day.md": (recorded_tables.tabulate_other_recordings,),
     "docs/few-labels.md": (

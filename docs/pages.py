@@ -4,6 +4,7 @@ README becomes the first page, and files at the top of the repository become pag
 """
 
 import argparse
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,6 +39,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, page, content=(ROOT / source).read_text()))
     content = "\n".join(format_options())
     files.append(File.generated(config, "reference/options.md", content=content))
+    for notebook in (ROOT / "docs" / "notebooks").glob("*.ipynb"):
+        page = f"notebooks/{notebook.stem}.md"
+        files.append(File.generated(config, page, content=format_notebook(notebook)))
     for path in (
         *ROOT.glob("experiments/**/*.py"),
         *ROOT.glob("examples/*.*"),
@@ -53,6 +57,22 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
+def format_notebook(notebook: Path) -> str:
+    """Format a notebook as a page: its text, its code, and the outputs that are stored in it."""
+    blocks = []
+    for cell in json.loads(notebook.read_text())["cells"]:
+        source = "".join(cell["source"])
+        blocks.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for output in cell.get("outputs", ()):
+            data = output.get("data", {})
+            text = "".join(output.get("text", data.get("text/plain", ""))).rstrip()
+            if picture := data.get("image/png"):
+                blocks.append(f"![What the code plots](data:image/png;base64,{picture.strip()})")
+            elif text:
+                blocks.append(f"```output\n{text}\n```")
+    return "\n\n".join(blocks)
+
+
 def format_options() -> Iterator[str]:
     """Format the page of all options of the commands, and of all fields of an experiment."""
     yield "# All options\n\nThis page is made from the code: each command's `--help-all`, and the"
@@ -63,16 +83,18 @@ def format_options() -> Iterator[str]:
         yield f"## Commands: {group}\n"
         for name in names:
             text = argparse.ArgumentParser.format_help(action.choices[name])
-            yield f"### {name}\n\n```text\n{text.rstrip()}\n```\n"
+            yield f"### {name}\n\n```output\n{text.rstrip()}\n```\n"
     yield "## Fields of an experiment\n"
     for group in list_group_names():
         title = f"--{group}." if group else "no group"
-        yield f"### {title}\n\n```text\n{format_field_help(group)}\n```\n"
+        yield f"### {title}\n\n```output\n{format_field_help(group)}\n```\n"
 
 
 def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Change links to lead from the site's folder: all pages lie where docs/ does."""
-    text = text.replace("](../", "](").replace("](docs/", "](")
+    """Change links to lead from the site's folder: all pages but notebooks lie where docs/ does."""
+    if page.file.src_uri.startswith("notebooks/"):
+        return text
+    text = text.replace("](../", "](").replace("](docs/", "](").replace(".ipynb)", ".md)")
     text = re.sub(
         r"\]\(((?:examples|experiments|jaxunshear)/[\w/.]+\.(?:py|cpp))\)", r"](\1.txt)", text
     )

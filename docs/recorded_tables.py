@@ -44,6 +44,17 @@ LEARNT = (
     "directly, pins turned",
     "unsheared, pins turned, the others read",
 )
+BENCHMARK_ROWS = {
+    "slides as recorded, by a PoseNet that learnt from taps": "sheared",
+    "slides unsheared, by the same PoseNet": "disentangled",
+    "slides, by a PoseNet that learnt from labelled slides": "sheared_learnt",
+}
+SURFACE_ROWS = {
+    "slides as recorded, by a PoseNet that learnt from taps": "sheared",
+    "slides unsheared, by the same PoseNet": "own",
+    "slides unsheared by a network of both sets, by the same PoseNet": "unsheared",
+    "slides, by a PoseNet that learnt from labelled slides": "sheared_learnt",
+}
 SOURCES = {"simulated": "simulated slides", "rendered": "recorded slides"}
 PAIRINGS = {
     "rendered": "what a renderer draws at its pose",
@@ -113,6 +124,32 @@ def tabulate_tasks() -> str:
             low, high = tests[test]["spread"]["pose_mae"][kind][target]
             cells.append(f"{value:.{count}f} [{low:.{count}f}, {high:.{count}f}]")
         lines.append(format_line(label, cells))
+    return "\n".join(lines)
+
+
+def tabulate_edge_benchmark() -> str:
+    """Tabulate this package's errors on the test slides of the frozen split edge_2d."""
+    lines = start_table(format_line("edge_2d", map(_name_target, EDGE_TARGETS)))
+    for modality in ("pins", "images"):
+        metrics = load_cells(f"recorded_{modality}")[0].metrics
+        for label, kind in BENCHMARK_ROWS.items():
+            cells = format_figures(metrics, EDGE_TARGETS, f"pose/{kind}/")
+            lines.append(format_line(f"{modality}: {label}", cells))
+    return "\n".join(lines)
+
+
+def tabulate_surface_benchmark() -> str:
+    """Tabulate this package's errors on the test slides of the frozen split surface_3d."""
+    test = load_result("two_tasks")["tests"]["surface_3d"]
+    targets = list(test["pose_mae"]["own"])
+    lines = start_table(format_line("surface_3d", map(_name_target, targets)))
+    for label, kind in SURFACE_ROWS.items():
+        cells = []
+        for target in targets:
+            value = test["pose_mae"][kind][target]
+            low, high = test["spread"]["pose_mae"][kind][target]
+            cells.append(f"{value:.3f} [{low:.3f}, {high:.3f}]")
+        lines.append(format_line(f"pins: {label}", cells))
     return "\n".join(lines)
 
 

@@ -7,6 +7,7 @@ shift, a turn and a scale of each ring, moves the frame of all networks; nothing
 """
 
 import shutil
+import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -87,20 +88,23 @@ def adapt(run: Path, taps: Path, out: Path, data_dir: Path) -> PinMotion:
     frame = read_object(run / FRAME)
     place, ring = np.array(frame["place_px"]), np.array(frame["shell"])
     moved = fit_pin_motion(rows["pins"] - render(rows["pose"]), place, ring)
-    part = out.with_name(f"{out.name}.part")
-    shutil.rmtree(part, ignore_errors=True)
-    for folder in run.iterdir():
-        if folder.name in TRAINABLE and (folder / MODEL).is_file():
-            stored = read_object(folder / MODEL)
-            shift = np.array(stored.get(FRAME_SHIFT, (0.0, 0.0))) - moved.motion_px
-            changes = {"data": sorted({*stored["data"], digest})}
-            move_network(folder, part / folder.name, changes, shift.tolist())
-    write_json(part / FRAME, frame | {"place_px": (place + moved.motion_px).round(4).tolist()})
-    write_json(part / "experiment.json", to_json(replace(experiment, name=out.name)))
-    results = read_record(run / "results.json", Results, EVALUATE_REMEDY)
-    widths = _widen(results, _measure_tap_errors(part, rows))
-    write_record(part / "results.json", replace(results, half_width=widths, trained_in=run.name))
-    part.rename(out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as folder_of_part:
+        part = Path(folder_of_part) / out.name
+        for folder in run.iterdir():
+            if folder.name in TRAINABLE and (folder / MODEL).is_file():
+                stored = read_object(folder / MODEL)
+                shift = np.array(stored.get(FRAME_SHIFT, (0.0, 0.0))) - moved.motion_px
+                changes = {"data": sorted({*stored["data"], digest})}
+                move_network(folder, part / folder.name, changes, shift.tolist())
+        write_json(part / FRAME, frame | {"place_px": (place + moved.motion_px).round(4).tolist()})
+        write_json(part / "experiment.json", to_json(replace(experiment, name=out.name)))
+        results = read_record(run / "results.json", Results, EVALUATE_REMEDY)
+        widths = _widen(results, _measure_tap_errors(part, rows))
+        write_record(
+            part / "results.json", replace(results, half_width=widths, trained_in=run.name)
+        )
+        part.rename(out)
     return moved
 
 

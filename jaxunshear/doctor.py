@@ -254,7 +254,8 @@ def _choose_command(
     slides = sum(each.labels.slides for each in usable)
     named = () if file is None else ("--layout", file)
     if taps and slides:
-        return _join("fit", "--taps", path, "--slides", path, *named), ""
+        folders = ("--taps", path, "--slides", path)
+        return _join("fit", *folders, *named, "--unshear.input", "pins"), ""
     if taps or slides:
         advice = "these networks learn to read poses, not to unshear"
         if taps and pins.layout == TACTIP_331.name and not file:

@@ -4,9 +4,11 @@
 """
 
 import json
-import shutil
+import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jaxunshear.config.networks import REGISTRY
 from jaxunshear.config.serialization import check_finished_run
@@ -18,6 +20,10 @@ from jaxunshear.files import read_object, to_builtins, write_json, write_text
 from jaxunshear.results.measurement import Machine
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
+from jaxunshear.text_table import format_operations
+
+if TYPE_CHECKING:
+    from jaxunshear.models.operations import NetworkSize
 
 RELEASED_PARTS = {
     name: kind.released_parts for name, kind in REGISTRY.items() if kind.released_parts is not None
@@ -32,6 +38,7 @@ def release(run_dir: Path, out: Path) -> Path:
     Raises `UserError` if `out` exists, or the run is not finished or evaluated.
     """
     from jaxunshear.inference.trained_model import load_model
+    from jaxunshear.models.operations import measure_size
     from jaxunshear.training.checkpoint import MODEL, write_weights
     from jaxunshear.training.examples import FRAME
 
@@ -40,42 +47,44 @@ def release(run_dir: Path, out: Path) -> Path:
         raise UserError(f"--out {out} exists: name a new folder")
     settings = read_object(run_dir / "experiment.json")
     results = read_record(run_dir / "results.json", Results, EVALUATE_REMEDY)
-    try:
-        card = make_card(results, out.name)
-    except (KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
     names = [name for name in RELEASED_PARTS if (run_dir / name / MODEL).is_file()]
     if not names:
         raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
     trained = load_model(run_dir)
     networks = {name: trained.load_network(name) for name in names}
-    part = out.with_name(f"{out.name}.part")
-    shutil.rmtree(part, ignore_errors=True)
-    for name, network in networks.items():
-        write_weights(part / name, network.variables, RELEASED_PARTS[name])
-        model = read_object(run_dir / name / MODEL)
-        origin = {key: model[key] for key in ORIGIN_FIELDS if key in model}
-        targets = {"targets": to_json(network.targets)}
-        write_json(
-            part / name / MODEL, {"kind": model["kind"], "net": model["net"]} | targets | origin
-        )
-    settings |= {"name": out.name}  # that of a sweep's row names its settings
-    if results.recordings is not None:
-        write_json(part / FRAME, read_object(run_dir / FRAME))
-        # paths of recordings are nobody else's, and a table of pairs is not released
-        paired = settings["paired"]
-        taps = "recorded taps" if paired["tap_folder"] else ""
-        paired |= {"tap_folder": taps, "slide_folder": "recorded slides", "pairs": ""}
-        if paired["pairing"] == "file":
-            paired["pairing"] = "pose_id"
-    write_json(part / "experiment.json", settings)
-    write_text(part / CARD, card)
-    part.rename(out)
+    sizes = {name: measure_size(each.net, each.variables) for name, each in networks.items()}
+    try:
+        card = make_card(results, out.name, sizes)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as place:
+        part = Path(place) / out.name
+        for name, network in networks.items():
+            write_weights(part / name, network.variables, RELEASED_PARTS[name])
+            model = read_object(run_dir / name / MODEL)
+            origin = {key: model[key] for key in ORIGIN_FIELDS if key in model}
+            targets = {"targets": to_json(network.targets)}
+            write_json(
+                part / name / MODEL, {"kind": model["kind"], "net": model["net"]} | targets | origin
+            )
+        settings |= {"name": out.name}  # that of a sweep's row names its settings
+        if results.recordings is not None:
+            write_json(part / FRAME, read_object(run_dir / FRAME))
+            # paths of recordings are nobody else's, and a table of pairs is not released
+            paired = settings["paired"]
+            taps = "recorded taps" if paired["tap_folder"] else ""
+            paired |= {"tap_folder": taps, "slide_folder": "recorded slides", "pairs": ""}
+            if paired["pairing"] == "file":
+                paired["pairing"] = "pose_id"
+        write_json(part / "experiment.json", settings)
+        write_text(part / CARD, card)
+        part.rename(out)
     return out
 
 
-def make_card(results: Results, name: str) -> str:
-    """Write the model card in Markdown from the run's results."""
+def make_card(results: Results, name: str, sizes: Mapping[str, "NetworkSize"]) -> str:
+    """Write the model card in Markdown from the run's results and the sizes of its networks."""
     machines = {_format_machine(machine) for machine in results.trained_on.values()}
     machines -= {_format_machine(results.machine)}
     sources = [source for source in (results.source, *results.trained_by.values()) if source]
@@ -87,6 +96,7 @@ def make_card(results: Results, name: str) -> str:
         f"    jaxunshear pose RECORDINGS --model {name}",
         f"Networks for {results.settings['unshear']['input']} of {results.metric['image_px']} px; "
         "kernels are stored as float16.",
+        _format_sizes(sizes),
         _describe_data(results),
         f"Mean errors at {poses} poses kept out of training (seed {seed}):",
         _format_errors(results),
@@ -102,6 +112,14 @@ def make_card(results: Results, name: str) -> str:
         f"Versions: {json.dumps(results.versions)}",
     ]
     return "\n\n".join(paragraphs) + "\n"
+
+
+def _format_sizes(sizes: Mapping[str, "NetworkSize"]) -> str:
+    """Format a Markdown table of the parameters and the operations of networks."""
+    lines = ["| network, as trained | parameters | FLOPs of a frame |", "|---|---|---|"]
+    for name, size in sizes.items():
+        lines.append(f"| {name} | {size.parameters:,} | {format_operations(size.operations)} |")
+    return "\n".join(lines)
 
 
 def _format_errors(results: Results) -> str:

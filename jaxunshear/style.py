@@ -1,8 +1,11 @@
 """The style of figures. Imports no Matplotlib."""
 
+import contextlib
 import io
+from collections.abc import Iterator
+from contextvars import ContextVar
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxunshear.config.networks import (
     DISENTANGLED,
@@ -57,10 +60,37 @@ def wrap_title(text: str, columns: int) -> str:
     return "\n".join(wrap(text, 48 * columns))
 
 
+class DrawnFigure(NamedTuple):
+    """A figure, and its SVG or PNG."""
+
+    encoded: bytes
+    figure: "Figure"
+
+
+_drawn: ContextVar[list[DrawnFigure] | None] = ContextVar("drawn", default=None)
+
+
+@contextlib.contextmanager
+def collect_figures() -> Iterator[list[DrawnFigure]]:
+    """Collect the figures that are encoded within this context."""
+    drawn: list[DrawnFigure] = []
+    token = _drawn.set(drawn)
+    try:
+        yield drawn
+    finally:
+        _drawn.reset(token)
+
+
+def _collect(encoded: bytes, figure: "Figure") -> None:
+    if (drawn := _drawn.get()) is not None:
+        drawn.append(DrawnFigure(encoded, figure))
+
+
 def encode_png(figure: "Figure", software: str = "") -> bytes:
     """Encode a PNG without the version of Matplotlib: the same drawing gives the same bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": software})
+    _collect(buffer.getvalue(), figure)
     return buffer.getvalue()
 
 
@@ -69,7 +99,9 @@ def encode_svg(figure: "Figure") -> str:
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
     text = buffer.getvalue()
-    return text[text.index("<svg") :]
+    svg = text[text.index("<svg") :]
+    _collect(svg.encode(), figure)
+    return svg
 
 
 def label_log_axis(axis: "Axis") -> None:

@@ -39,3 +39,13 @@ def format_plain(value: float) -> str:
     """Format a number to three digits, and a larger one to its last digit before the point."""
     text = f"{value:.3g}"
     return f"{value:.0f}" if "e+" in text else text
+
+
+def format_operations(operations: float) -> str:
+    """Format a number of operations with a prefix, such as 1.23 G; a dash stands for none."""
+    if not operations:
+        return "\N{EN DASH}"
+    for factor, prefix in ((1e9, " G"), (1e6, " M"), (1e3, " k")):
+        if operations >= factor:
+            return f"{format_plain(operations / factor)}{prefix}"
+    return format_plain(operations)

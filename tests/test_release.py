@@ -23,6 +23,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import read_json, write_json
 from jaxunshear.inference import infer
 from jaxunshear.models import posenet, unshearnet
+from jaxunshear.models.operations import NetworkSize
 from jaxunshear.release import make_card, release
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
@@ -36,6 +37,7 @@ SEEN = Preprocess(size=SIZE)
 TARGETS = targets.make_range_targets((), Ranges())
 DATA = {"paired": PairedData(preprocess=SEEN), "pose": PoseData(preprocess=SEEN)}
 EXPERIMENT = Experiment("small", "A claim.", unshear=NET, posenet=POSENET, **DATA)
+SIZES = {"disentangled": NetworkSize(12_345, 6.78e9)}
 LEARNT = {"origin": {"set": "tactip_paired"}, "data": ["ab"], "start": "1234"}
 RESULTS = {
     "settings": asdict(EXPERIMENT),
@@ -53,7 +55,7 @@ RESULTS = {
 
 
 def card_of(held):
-    return make_card(convert_record(held, Results, "results.json", "again"), "mine")
+    return make_card(convert_record(held, Results, "results.json", "again"), "mine", SIZES)
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +97,19 @@ def test_a_card_names_the_machine_that_trained_where_another_one_measured():
     other = {"device": "gpu: one"}
     text = card_of(RESULTS | {"trained_on": {"disentangled": other, "posenet": other}})
     assert text.count("Trained on: ") == 1 and '"gpu: one"' in text
+
+
+def test_a_card_gives_the_size_of_each_network():
+    assert "| disentangled | 12,345 | 6.78 G |" in card_of(RESULTS)
+
+
+def test_a_folder_of_the_name_that_a_temporary_one_might_have_is_kept(run, tmp_path):
+    mine = tmp_path / "weights" / "mine.part" / "notes.txt"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    release(run, tmp_path / "weights" / "mine")
+    assert mine.read_text() == "mine"
+    assert sorted(path.name for path in mine.parents[1].iterdir()) == ["mine", "mine.part"]
 
 
 def test_a_card_gives_how_far_slides_twist_and_the_sensor_leans():

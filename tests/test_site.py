@@ -29,8 +29,16 @@ def test_every_document_is_a_page(site):
     assert "load_model" in text and "ms_ssim" in text
 
 
+def test_a_notebook_is_a_page_with_its_plots(site):
+    for notebook in ROOT.glob("docs/notebooks/*.ipynb"):
+        text = (site / "notebooks" / f"{notebook.stem}.html").read_text()
+        plots = notebook.read_text().count('"image/png"')
+        assert text.count('src="data:image/png;base64,') == plots
+    assert 'href="notebooks/unshear.html"' in (site / "python.html").read_text()
+
+
 def test_links_and_pictures_lead_to_files(site):
-    for page in site.glob("*.html"):
+    for page in (*site.glob("*.html"), *site.glob("notebooks/*.html")):
         for link in re.findall(r'(?:href|src)="([^"#?]+)', page.read_text()):
             outside = "://" in link or link.startswith(("mailto:", "data:"))
             if not outside and page.name != "404.html":

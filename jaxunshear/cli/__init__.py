@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from textwrap import wrap
 
 from jaxunshear import __version__
-from jaxunshear.cli import apps, experiments, first_steps, models, studies
+from jaxunshear.cli import apps, experiments, first_steps, models, papers, studies
 from jaxunshear.cli.fields import format_field_help, split_help_request
 from jaxunshear.cli.program import (
     HELP_ALL,
@@ -29,7 +29,7 @@ from jaxunshear.output_checks import check_new_folder, check_outside
 
 COMMANDS: dict[str, Command] = {
     command.name: command
-    for module in (first_steps, experiments, models, apps, studies)
+    for module in (first_steps, experiments, models, apps, studies, papers)
     for command in module.COMMANDS
 }
 GROUPS = {  # of `jaxunshear --help`
@@ -43,7 +43,7 @@ GROUPS = {  # of `jaxunshear --help`
         *("explore", "servo", "reconstruct", "geometry", "validate", "calibrate"),
         *("sensors", "stimuli"),
     ),
-    "study": ("sweep", "compare", "score", "ablate", "cite"),
+    "study": ("sweep", "compare", "score", "split", "ablate", "cite"),
 }
 USUAL_COMMANDS = {  # what other tools, or earlier versions, call a command: what to type instead
     **dict.fromkeys(("eval", "test"), ("evaluate",)),

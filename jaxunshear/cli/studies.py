@@ -1,11 +1,8 @@
 """Commands about recordings, finished runs, sensors and stimuli."""
 
 import argparse
-import sys
 from pathlib import Path
 
-from jaxunshear import __version__
-from jaxunshear.cli.models import choose_exit_code
 from jaxunshear.cli.program import (
     DATA,
     LAYOUT,
@@ -15,7 +12,6 @@ from jaxunshear.cli.program import (
     flag,
     integer,
     json_file,
-    option,
     path,
     write_measurement,
 )
@@ -30,8 +26,6 @@ from jaxunshear.output_checks import (
 )
 
 COMPARE_OUT = Path("runs/compare")
-SHOWN_NOTES = 5
-CITATIONS = Path(__file__).parents[1] / "citations.bib"
 FOUND = "what was found, with command, machine and versions"  # what `--json` writes
 
 
@@ -97,12 +91,19 @@ def validate(arguments: argparse.Namespace, command: str) -> int:
 
 def report(arguments: argparse.Namespace, command: str) -> int:
     check_new_folder(arguments.tables, "--tables")
+    check_new_folder(arguments.figures, "--figures")
     check_finished_run(arguments.run)
+    from jaxunshear.report.figures import write_figures
     from jaxunshear.report.report import write_report
+    from jaxunshear.style import collect_figures
 
-    page = write_report(arguments.run)
+    with collect_figures() as drawn:
+        page = write_report(arguments.run)
     print(page)
     _write_tables(page, arguments)
+    if arguments.figures:
+        written = write_figures(page, drawn, arguments.figures)
+        print(f"{len(written)} figures: {arguments.figures}")
     return 0
 
 
@@ -164,40 +165,6 @@ def ablate(arguments: argparse.Namespace, command: str) -> int:
         print(code_swaps.format_table(results["rows"]))
     if arguments.json:
         write_json(arguments.json, results)
-    return 0
-
-
-def score(arguments: argparse.Namespace, command: str) -> int:
-    """Print the scores of a submission; return 1 if half of the slides or more are left out."""
-    from jaxunshear.evaluation.submissions import format_rows, score_submission
-    from jaxunshear.text_table import format_text_table
-
-    if not arguments.path.exists():
-        raise UserError(
-            f"{arguments.path} does not exist: name a folder of images, a CSV or an npz"
-        )
-    submission = score_submission(arguments.path, arguments.recordings)
-    print(format_text_table(format_rows(submission.rows), submission.columns))
-    for reason, count in submission.left_out.items():
-        if count:
-            print(f"left out {count}: {reason}")
-    for note in submission.notes[:SHOWN_NOTES]:
-        print(f"note: {note}", file=sys.stderr)
-    content = {"rows": submission.rows, "left_out": submission.left_out}
-    write_measurement(arguments.json, command, content)
-    return choose_exit_code(submission.scored, submission.slides - submission.scored)
-
-
-def cite(arguments: argparse.Namespace, command: str) -> int:
-    """Print the BibTeX of the software, the paper and the public recordings, or of one of them."""
-    text = CITATIONS.read_text().replace("VERSION", __version__)
-    entries = {
-        entry[entry.index("{") + 1 : entry.index(",")]: entry for entry in text.split("\n\n")
-    }
-    name = arguments.name
-    if name is not None and name not in entries:
-        raise UserError(f"there is no citation '{name}': use one of {', '.join(entries)}")
-    print((text if name is None else entries[name]).strip())
     return 0
 
 
@@ -281,7 +248,11 @@ COMMANDS = (
         "report",
         "write the HTML page of a finished run",
         report,
-        (RUN, TABLES),
+        (
+            RUN,
+            TABLES,
+            path("--figures", "DIR", "also write every plot of the page as PDF"),
+        ),
         computes=False,
     ),
     Command(
@@ -329,30 +300,6 @@ COMMANDS = (
             flag("--leakage", "measure by probes what each code holds that it should not"),
             json_file(),
         ),
-    ),
-    Command(
-        "score",
-        "score unsheared images, or poses, of another method on recorded slides",
-        score,
-        (
-            path(
-                "path", "RESULTS", "a folder of images named as the slides, or poses as CSV or npz"
-            ),
-            path(
-                "--recordings",
-                "RECORDINGS",
-                "labelled slides, and taps at their poses",
-                required=True,
-            ),
-            json_file(ROWS),
-        ),
-    ),
-    Command(
-        "cite",
-        "print the BibTeX of this software, the paper that it follows, and the public recordings",
-        cite,
-        (option("name", "NAME", "print this entry alone (default: all)", nargs="?"),),
-        computes=False,
     ),
     *(
         Command(name, f"list or draw the {name}", catalogue, CATALOGUE_OPTIONS, computes=False)

@@ -14,10 +14,16 @@ from jaxunshear.config.types import Bound, Count, NotNegative, Positive, Problem
 from jaxunshear.errors import UserError
 
 PairingMethod = Literal["rendered", "nearest", "pose_id", "file", "simulated"]
+SplitMethod = Literal["random", "block", "folder", "edge_2d", "surface_3d"]
+FROZEN_SPLITS: tuple[SplitMethod, ...] = (
+    "edge_2d",
+    "surface_3d",
+)  # as data/frozen_splits.toml names them
 SPLIT_TEXTS: dict[str, str] = {  # how a report says what each method keeps out of training
     "random": "random split",
     "block": "block of poses",
     "folder": "split by folders",
+    **{name: f"frozen split {name}" for name in FROZEN_SPLITS},
 }
 MAX_SEED = 2**31 - 1
 Seed = Annotated[int, between(0, MAX_SEED)]
@@ -191,6 +197,7 @@ class Recorded(SourceSettings):
     * "block": poses whose label lies in an interval are for test, those on either side of it for
       validation, so that no training pose is near a test pose (`data/recorded_splits.py`).
     * "folder": folders so named alone; an error if there is none.
+    * "edge_2d" and "surface_3d": the frozen rows of these public sets (`data/frozen_splits.py`).
     """
 
     set_name: ClassVar[str] = "tactip_recorded"
@@ -220,9 +227,9 @@ class Recorded(SourceSettings):
     # taps that posenet_sheared, which learns poses of slides directly, learns from as well: the
     # recorded ones, as slides of length zero; or over pins as many rendered ones as slides
     direct_taps: Literal["none", "recorded", "rendered"] = "none"
-    # what is kept out of training: poses at "random", a "block" of poses that are close, or a
-    # "folder"
-    split: Literal["random", "block", "folder"] = "random"
+    # what is kept out of training: poses at "random", a "block" of poses that are close, a
+    # "folder", or the frozen rows of a public set by its name
+    split: SplitMethod = "random"
     test: Half = 0.1  # share of the poses for test, if no folder is
     # share of the poses that choose the best checkpoint, if no folder is
     validation: Half = 0.1
@@ -234,6 +241,10 @@ class Recorded(SourceSettings):
             yield "tap_folder", "name your recordings: add --recordings DIR"
         if bool(self.pairs) != (self.pairing == "file"):
             yield "pairs", "a table of pairs goes with pairing file: add both, or neither"
+        usual = Recorded()
+        drawn = self.test, self.validation, self.seed
+        if self.split in FROZEN_SPLITS and drawn != (usual.test, usual.validation, usual.seed):
+            yield "split", f"{self.split} has fixed rows: leave test, validation and seed alone"
         use = self.labelled, self.unlabelled, self.direct_taps
         if self.pairing == "simulated" and use != (1, "left_out", "none"):
             remedy = "leave labelled at 1, unlabelled at left_out and direct_taps at none"

@@ -14,11 +14,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.data import Recorded
+from jaxunshear.config.data import FROZEN_SPLITS, Recorded
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.splits import SPLITS, hash_text
-from jaxunshear.data.labels import compute_span, join_columns, normalise_text, read_pair_table
-from jaxunshear.data.recorded_splits import cut_block, read_folder_split, split_by_folders
+from jaxunshear.data.frozen_splits import ContactLabels, apply_frozen_split
+from jaxunshear.data.labels import (
+    compute_span,
+    join_columns,
+    normalise_name,
+    normalise_text,
+    read_pair_table,
+)
+from jaxunshear.data.recorded_splits import (
+    cut_block,
+    format_pose,
+    read_folder_split,
+    split_by_folders,
+)
 from jaxunshear.data.recordings import Recordings, read_recordings
 from jaxunshear.data.videos import is_video
 from jaxunshear.errors import UserError
@@ -165,8 +177,10 @@ def _make_contacts(recordings: Recordings, is_slide: bool = False) -> RecordedCo
 def _split(contacts: RecordedContacts, settings: Recorded) -> RecordedContacts:
     """Split by a block of poses, or by folders' names and, where these leave it open, by the pose.
 
-    Taps and slides are split alike.
+    Taps and slides are split alike. A frozen split is of its own rows, whatever folders are called.
     """
+    if settings.split in FROZEN_SPLITS:
+        return _split_as_frozen(contacts, settings.split)
     folder_split = np.array([*map(read_folder_split, contacts.files, contacts.names)])
     if settings.split == "block":
         return _split_by_block(contacts, folder_split, settings)
@@ -179,6 +193,22 @@ def _split(contacts: RecordedContacts, settings: Recorded) -> RecordedContacts:
                 KINDS[is_slide], folder_split[rows], keys[rows], settings
             )
     return contacts._replace(split=split)
+
+
+def _split_as_frozen(contacts: RecordedContacts, name: str) -> RecordedContacts:
+    split = np.zeros(len(contacts.names), int)
+    for is_slide in KINDS:
+        rows = np.flatnonzero(contacts.is_slide == is_slide)
+        if len(rows):
+            split[rows] = apply_frozen_split(name, select_labels(contacts, is_slide))
+    return contacts._replace(split=split)
+
+
+def select_labels(contacts: RecordedContacts, is_slide: bool) -> ContactLabels:
+    """Select the labels of the taps, or of the slides, as a frozen split compares them."""
+    chosen = contacts.take(np.flatnonzero(contacts.is_slide == is_slide))
+    names = tuple(map(normalise_name, chosen.names))
+    return ContactLabels(KINDS[is_slide], names, chosen.pose, chosen.move)
 
 
 def _split_by_block(
@@ -207,13 +237,12 @@ def _draw_split_keys(contacts: RecordedContacts, seed: int) -> np.ndarray:
     Without a pose they depend on the file's name.
     """
     keys = np.empty(len(contacts.names))
-    poses = np.round(contacts.pose, 4)
     for row, name in enumerate(contacts.names):
-        number, pose = contacts.pose_id[row], poses[row]
+        number, pose = contacts.pose_id[row], contacts.pose[row]
         if contacts.paired_by_table and number >= 0:
             text = f"pair {number}"
         elif np.isfinite(pose).all():
-            text = ",".join(f"{value:.4f}" for value in pose + 0.0)  # -0 becomes 0
+            text = format_pose(pose)
         else:
             text = name
         keys[row] = hash_text(f"{seed} {text}") / 2**64

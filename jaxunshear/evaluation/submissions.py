@@ -9,18 +9,20 @@ with the labels, beside the median label. What is not scored is counted by its r
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.data import Recorded
+from jaxunshear.config.data import Recorded, SplitMethod
 from jaxunshear.config.sensor import Preprocess
+from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import get_unit, make_label_targets
 from jaxunshear.data.labels import IMAGE_COLUMNS, name_labels, normalise_text
 from jaxunshear.data.pairing import match_same_pose, take_rows
 from jaxunshear.data.reader import concatenate_batches
-from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contacts
+from jaxunshear.data.recorded_contacts import RecordedContacts, read_contacts, read_test_contacts
 from jaxunshear.data.recordings import (
     PROBES,
     find_common_view,
@@ -42,7 +44,8 @@ from jaxunshear.selection import select_evenly
 SUBMITTED, SHEARED, CHANCE = "submitted", "sheared", "median_label"
 NAME_COLUMNS = ("name", *IMAGE_COLUMNS)
 BATCH = 32
-UNREADABLE, NOT_A_SLIDE, MISSING = "not readable", "not of a slide", "slides without a result"
+UNREADABLE, NOT_A_SLIDE = "not readable", "not of a slide that is scored"
+MISSING = "slides without a result"
 NO_TAP, NO_LABEL, NO_VALUE = "no tap at the slide's pose", "no label", "no value"
 COLUMNS = ("name", "unit", "slides", "value", SHEARED, "difference")
 POSE_COLUMNS = ("name", "unit", "slides", "value", CHANCE)
@@ -67,13 +70,19 @@ class _Scores(NamedTuple):
     scores: dict[str, np.ndarray]  # (N,) by `<table>/<kind>` or `<table>/<kind>/<target>`
 
 
-def score_submission(path: Path, recordings: Path) -> Submission:
+def score_submission(path: Path, recordings: Path, split: SplitMethod | None = None) -> Submission:
     """Score a folder of unsheared images, or a table of poses (CSV or npz), on recorded slides.
 
-    Raises UserError if nothing can be scored.
+    With `split` only slides that this split has for test are scored. Raises UserError if nothing
+    can be scored.
     """
     folder = str(recordings)
-    contacts = read_test_contacts(Recorded(tap_folder=folder, slide_folder=folder))
+    settings = Recorded(tap_folder=folder, slide_folder=folder)
+    if split is None:
+        contacts = read_test_contacts(settings)
+    else:
+        contacts = read_contacts(replace(settings, split=split))
+        contacts = contacts.take(np.flatnonzero(contacts.split == SPLITS.index("test")))
     left_out = Counter[str]()
     slides = np.flatnonzero(contacts.is_slide)
     if not len(slides):

@@ -204,7 +204,6 @@ def _draw_motion(axes: Axes, frame: ShownFrame) -> None:
             )
     axes.set_aspect("equal")
     axes.invert_yaxis()
-    axes.set_xlabel("mm", fontsize=SMALL_PT)
     axes.tick_params(labelsize=SMALL_PT)
 
 

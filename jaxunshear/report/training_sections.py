@@ -24,7 +24,7 @@ from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
 from jaxunshear.style import ABREAST, COLOURS, INK, STYLE, encode_svg, label_log_axis, make_panels
-from jaxunshear.text_table import format_plain
+from jaxunshear.text_table import format_operations, format_plain
 
 RETRAIN_REMEDY = "delete it, then run the same experiment again, which goes on from the checkpoint"
 DASHES = ("-", "--", ":")
@@ -61,6 +61,7 @@ def build_training_section(trainings: Trainings) -> Markup:
         [
             name,
             f"{summary.parameters:,}",
+            format_operations(summary.operations),
             str(summary.steps),
             format_plain(summary.images_per_second),
             format_duration(summary.train_seconds),
@@ -68,7 +69,15 @@ def build_training_section(trainings: Trainings) -> Markup:
         ]
         for name, summary in trainings.summaries.items()
     ]
-    head = ["network", "parameters", "steps", "images/s", "training", "best at step"]
+    head = [
+        "network",
+        "parameters",
+        "FLOPs of a frame",
+        "steps",
+        "images/s",
+        "training",
+        "best at step",
+    ]
     text = "loss over epochs of " + ", ".join(trainings.histories)
     curves = html.embed_svg(_plot_losses(trainings.histories), text)
     return wording.section("training", curves, html.table(head, rows))

@@ -64,6 +64,7 @@ class TrainingSummary:
     steps: int
     images: int = 0  # with repeats
     parameters: int
+    operations: float = 0  # FLOPs of one frame; 0 in files of earlier versions
     best_step: int
     best_loss: float | None = None  # validation
     train_seconds: float  # steps and their data, without compilation, validation and checkpoints

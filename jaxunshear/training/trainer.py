@@ -23,13 +23,14 @@ from jax import Array
 
 from jaxunshear import files
 from jaxunshear.code_version import read_source
-from jaxunshear.config.targets import to_json
+from jaxunshear.config.targets import count_outputs, to_json
 from jaxunshear.config.training import Training
 from jaxunshear.environment import keep_freed_memory
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import compiled_kernels
+from jaxunshear.models.operations import NetworkSize, measure_size
 from jaxunshear.progress import Progress
 from jaxunshear.results import record_files
 from jaxunshear.results.measurement import TrainingSummary
@@ -138,8 +139,8 @@ def train(
     ):
         measure = make_measurement(task, data.validation)
         state = _run_steps(run, step, state, progress, stream, measure, log)
-        parameters = sum(leaf.size for leaf in jax.tree.leaves(state.params))
-        return _finish(run, progress, parameters)
+    size = measure_size(task.net, state.average, count_outputs(task.targets))
+    return _finish(run, progress, size)
 
 
 def _describe(
@@ -253,7 +254,7 @@ def _write_checkpoint(
     _write_log(run.folder, progress.history)
 
 
-def _finish(run: TrainingRun, progress: TrainingProgress, parameters: int) -> TrainingSummary:
+def _finish(run: TrainingRun, progress: TrainingProgress, size: NetworkSize) -> TrainingSummary:
     """Write the summary. Raises UserError if no validation loss was finite."""
     task, devices = run.task, run.devices
     best_loss = progress.find_best_loss(task.selection_term)
@@ -268,7 +269,8 @@ def _finish(run: TrainingRun, progress: TrainingProgress, parameters: int) -> Tr
         kind=task.kind,
         steps=run.steps,
         images=images,
-        parameters=parameters,
+        parameters=size.parameters,
+        operations=size.operations,
         best_step=progress.best_step,
         best_loss=best_loss,
         train_seconds=progress.train_seconds,

@@ -49,7 +49,7 @@ def test_taps_in_the_place_of_slides_are_without_fault(recording, tmp_path):
     assert list(rows) == ["ms_ssim@4.submitted", "ssim.submitted", "mse.submitted"]
     assert submission.scored == COUNT - 3 == rows["mse.submitted"]["slides"]
     assert {reason: count for reason, count in submission.left_out.items() if count} == {
-        "not of a slide": 1,
+        "not of a slide that is scored": 1,
         "slides without a result": 1,
         "no tap at the slide's pose": 1,
         "not readable": 1,
@@ -101,7 +101,7 @@ def test_the_command_prints_a_table_and_writes_rows(recording, poses, tmp_path, 
 
 def test_what_cannot_be_scored_is_refused_in_one_line(recording, tmp_path, command):
     tables = {
-        "a.csv": ("name,y_mm\nother.png,1\n", "can be scored: 1 not of a slide, 12 slides"),
+        "a.csv": ("name,y_mm\nother.png,1\n", "scored: 1 not of a slide that is scored, 12 "),
         "b.csv": ("file,y_mm\nimage_1.png,1\n", "no column of file names: add one called name"),
         "c.csv": ("name,colour\nimage_1.png,1\n", "no column that is called as a label: use x_mm"),
         "d.csv": ("name,y_mm\nimage_1,1\nimage_1.png,2\n", "has two results"),

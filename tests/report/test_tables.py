@@ -1,4 +1,4 @@
-"""Tables of a page as CSV and LaTeX."""
+"""Tables of a page as CSV and LaTeX, and its plots as PDF."""
 
 import csv
 import re
@@ -34,3 +34,18 @@ def test_report_writes_all_tables_of_its_page(command, made_up_run, tmp_path):
     assert names and {re.sub(r"-\d+$", "", name) for name in names} <= headings
     refused = command("report", run, "--tables", run / "results.json")
     assert refused.code == 2 and "--tables" in refused.err
+
+
+def test_report_writes_the_plots_of_its_page_as_pdf(command, made_up_run, tmp_path):
+    run, _ = made_up_run
+    answer = command("report", run, "--figures", tmp_path / "figures")
+    files = sorted((tmp_path / "figures").iterdir())
+    assert answer.code == 0 and f"{len(files)} figures: " in answer.out
+    page = (run / "report.html").read_text()
+    assert len(files) >= page.count("data:image/svg+xml") > 0
+    for file in files:
+        assert file.suffix == ".pdf" and file.read_bytes().startswith(b"%PDF")
+        heading = re.sub(r"-\d+$", "", file.stem)
+        assert f'<h2 id="{heading}">' in page
+    refused = command("report", run, "--figures", run / "results.json")
+    assert refused.code == 2 and "--figures" in refused.err
