@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks import bench_touch
+from benchmarks import bench_touch, touch_fitting
 from jaxunshear.perception import touch
 
 ZONES = len(touch.ZONES) - 1
@@ -24,12 +24,14 @@ def make_touches(count=400):
     slip = np.where(slide[:, 0] * slide[:, 1] > 0, 0.5, 0.1)
     features = touch.TouchFeatures(sizes, slide, vectors, turns, sizes[:, 0], sizes[:, 0])
     depth = np.where(nodes > 0, 1.0, 0.0)
-    return bench_touch.Touches(features, np.arange(count), depth, nodes, slip, drag, np.ones(count))
+    return touch_fitting.Touches(
+        features, np.arange(count), depth, nodes, slip, drag, np.ones(count)
+    )
 
 
 @pytest.fixture(scope="module")
 def learnt():
-    return bench_touch.learn_weights([make_touches(200)], [make_touches(400)])
+    return touch_fitting.learn_weights([make_touches(200)], [make_touches(400)])
 
 
 def test_shear_is_learnt_with_its_interval(learnt):
@@ -39,7 +41,7 @@ def test_shear_is_learnt_with_its_interval(learnt):
 
 
 def test_no_motion_speaks_against_a_contact(learnt):
-    assert learnt.contact[bench_touch.NOISE] <= 0 <= learnt.contact[1:-1].min()
+    assert learnt.contact[touch_fitting.NOISE] <= 0 <= learnt.contact[1:-1].min()
 
 
 def test_scores_are_those_of_contacts_that_are_known(learnt):
@@ -51,16 +53,16 @@ def test_scores_are_those_of_contacts_that_are_known(learnt):
 
 def test_slip_needs_no_drag_and_leaves_the_rest_as_it_is(learnt):
     undragged = make_touches(400)._replace(drag=np.full((400, 3), np.nan))
-    without = bench_touch.learn_weights([make_touches(200)], [undragged])
+    without = touch_fitting.learn_weights([make_touches(200)], [undragged])
     for name in learnt._fields:
         np.testing.assert_array_equal(getattr(without, name), getattr(learnt, name))
-    other = bench_touch.learn_weights([make_touches(200)], [])
+    other = touch_fitting.learn_weights([make_touches(200)], [])
     assert not np.array_equal(other.slip, learnt.slip)
     np.testing.assert_array_equal(other.contact, learnt.contact)
 
 
 def test_the_file_of_weights_is_loaded_as_it_was_learnt(learnt, tmp_path):
-    (tmp_path / "touch.json").write_text(bench_touch.format_weights(learnt))
+    (tmp_path / "touch.json").write_text(touch_fitting.format_weights(learnt))
     loaded = touch.load_weights(tmp_path / "touch.json")
     for name in learnt._fields:
         np.testing.assert_allclose(getattr(loaded, name), getattr(learnt, name), atol=1e-5)
