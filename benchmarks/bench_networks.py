@@ -81,7 +81,7 @@ def bench_infer(
     return _measure_cases("bench infer", cases, _make_inference_sides, count_operations, rounds)
 
 
-def bench_stream(size: int | None = None, rounds: Rounds = ROUNDS) -> list[Json]:
+def bench_frame(size: int | None = None, rounds: Rounds = ROUNDS) -> list[Json]:
     """Time encoder, canonical decoder and PoseNet, one image at a time as for a robot."""
     cases = [(px, 1) for px in (INFER_SIZES if size is None else (size,))]
 
@@ -91,7 +91,7 @@ def bench_stream(size: int | None = None, rounds: Rounds = ROUNDS) -> list[Json]
             + count_posenet_multiplications(PoseNet(size=px))
         )
 
-    return _measure_cases("bench stream", cases, _make_stream_sides, count_operations, rounds)
+    return _measure_cases("bench frame", cases, _make_frame_sides, count_operations, rounds)
 
 
 def _measure_cases(
@@ -190,7 +190,7 @@ def _make_inference_sides(size: int, batch: int) -> Sides:
     yield "pytorch, compiled", lambda: theirs(True)
 
 
-def _make_stream_sides(size: int, batch: int) -> Sides:
+def _make_frame_sides(size: int, batch: int) -> Sides:
     net, pose_net = _make_network(size, batch), PoseNet(size=size)
     image = make_noise_images(batch, size)[1, 0, ..., 0]
 

@@ -63,7 +63,7 @@ COMMANDS = {
         "bench_lost_pins",
         ("recordings", "seed"),
     ),
-    "stream": Benchmark(
+    "frame": Benchmark(
         "a robot's perception, a frame at a time, beside the exported file and PyTorch",
         "bench_networks",
         ("size",),
@@ -81,6 +81,7 @@ COMMANDS = {
         "bench_touch",
         ("seed", "weights", "recordings"),
     ),
+    "demo": Benchmark("how long each stage of `make demo` takes, installs apart", "bench_demo"),
     "explore": Benchmark("how long a picture of `jaxunshear explore` takes", "bench_explore"),
 }
 _ARGUMENTS: dict[str, dict[str, Any]] = {

@@ -56,7 +56,7 @@ def test_posenet_s_multiplications_are_those_of_its_layers():
     [
         pytest.param(lambda: bench_networks.bench_train(32, 2, (1, 0.0)), marks=pytest.mark.long),
         lambda: bench_networks.bench_infer(32, 2, (1, 0.0)),
-        lambda: bench_networks.bench_stream(32, (1, 0.0)),
+        lambda: bench_networks.bench_frame(32, (1, 0.0)),
     ],
     ids=["train", "infer", "stream"],
 )

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
         ("benchmarks", "pins --size 8", "--size 8: use 64 to 1024 px"),
         ("benchmarks", "pins --seed -1", "--seed -1: use at least 0"),
         ("benchmarks", "sim --size 128", "unrecognized arguments: --size 128"),
-        ("benchmarks", "stream --batch 8", "unrecognized arguments: --batch 8"),
+        ("benchmarks", "frame --batch 8", "unrecognized arguments: --batch 8"),
         ("benchmarks", "train --out .", "unrecognized arguments: --out ."),
         ("benchmarks", "sim --out setup.cfg/a", "is a file: name another folder"),
         ("verification", "stability --only nothing_like_this", "no name contains this"),

@@ -1,10 +1,13 @@
 """Benchmarks at a small size: their rows, and that what they say of known work is right."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from benchmarks import (
     bench_data,
+    bench_demo,
     bench_explore,
     bench_omissions,
     bench_pin_networks,
@@ -15,6 +18,8 @@ from benchmarks import bench_input_pipeline as bench_input
 from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.errors import UserError
 from tests.perception.test_pin_refinement import LATTICE, picture, slid
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.long
@@ -29,6 +34,22 @@ def test_every_step_of_a_set_has_its_time_and_its_bytes():
     assert chunk["bytes"] > pins + bits
     assert stored["bytes"] > pins * 4 / 3  # of a slide and its tap, for two contacts of three
     assert read["bytes"] >= (pins + bits) * 4 / 3
+
+
+@pytest.mark.long
+def test_the_stages_of_a_run_add_up_to_its_time():
+    rows = bench_demo.bench_demo(ROOT / "experiments" / "tiny.py")
+    seconds = {row["name"]: row["s"] for row in rows}
+    assert {"disentangled", "posenet", "evaluate", bench_demo.REST} < set(seconds)
+    assert min(seconds.values()) > 0
+    total = seconds.pop(bench_demo.TOTAL)
+    assert total == pytest.approx(sum(seconds.values()))
+    assert rows[0]["s"] / rows[0]["products"] == pytest.approx(total / rows[-1]["products"])
+
+
+def test_a_run_that_fails_has_no_times(tmp_path):
+    with pytest.raises(UserError, match=r"missing\.py = exit code 2"):
+        bench_demo.bench_demo(tmp_path / "missing.py")
 
 
 @pytest.mark.long
