@@ -1,5 +1,9 @@
 """Tables of latent codes: what they leak, and what the decoders make of exchanged ones."""
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from statistics import fmean
+
 from docs.reading import (
     EDGE_TARGETS,
     format_figures,
@@ -11,7 +15,7 @@ from docs.reading import (
     start_table,
 )
 from jaxunshear.evaluation.codes import EXCHANGED, OWN
-from jaxunshear.results.sweep import CellResult
+from jaxunshear.results.sweep import CellResult, Figure, Figures
 
 RECORDED_TARGETS = {"y_mm": 3, "z_mm": 3, "Rz_deg": 2}
 LEAKS = ("slide from z_p", "pose from z_s")
@@ -20,20 +24,47 @@ PARTS = {"all": "all", "sticking": "not all of the skin slips", "slipped": "all 
 
 def tabulate_parted_skin() -> str:
     """Tabulate the leaks of codes of recorded pins."""
-    return _tabulate_leaks("parted_skin", "recorded, pins")
+    return _tabulate_leaks(load_cells("parted_skin"), "recorded, pins")
 
 
 def tabulate_parted_skin_images() -> str:
     """Tabulate the leaks of codes of recorded images."""
-    return _tabulate_leaks("parted_skin_images", "recorded, images")
+    return _tabulate_leaks(_load_images(), "recorded, images")
 
 
 def tabulate_parted_leaks() -> str:
     """Tabulate the leaks of codes of simulated pins."""
-    return _tabulate_leaks("parted", "simulated, pins")
+    return _tabulate_leaks(load_cells("parted"), "simulated, pins")
 
 
-def _tabulate_leaks(name: str, head: str) -> str:
+def _load_images() -> Sequence[CellResult]:
+    """Return the cells over recorded images, with the seeds of their repeats."""
+    repeats = {cell.label: cell for cell in load_cells("parted_skin_images_repeats")}
+    cells = []
+    for cell in load_cells("parted_skin_images"):
+        again = repeats.get(cell.label, cell)
+        count = len({*cell.seeds, *again.seeds})
+        joined = replace(
+            cell,
+            label=f"{cell.label} ({count} seed{'s' if count > 1 else ''})",
+            metrics=_join_seeds(cell.metrics, again.metrics),
+            ablation=_join_seeds(cell.ablation, again.ablation),
+        )
+        cells.append(joined)
+    return cells
+
+
+def _join_seeds(figures: Figures, repeats: Figures) -> Figures:
+    """Return those figures that have seeds, with the seeds of both."""
+    joined = {}
+    for name, figure in figures.items():
+        if figure.per_seed:
+            seeds = {**figure.per_seed, **(repeats[name].per_seed or {})}
+            joined[name] = Figure(fmean(seeds.values()), None, seeds)
+    return joined
+
+
+def _tabulate_leaks(table: Sequence[CellResult], head: str) -> str:
     """Tabulate R2 of the strongest probe for both leaks, beside its ceiling."""
     heads = [
         f"{leak}: {field}"
@@ -41,7 +72,7 @@ def _tabulate_leaks(name: str, head: str) -> str:
         for field in ("R2", "share of ceiling", "largest share")
     ]
     lines = start_table(format_line(head, heads))
-    for cell in load_cells(name):
+    for cell in table:
         shares = [
             format_seeds(cell.ablation[f"{leak}/{field}"])
             for leak in LEAKS
@@ -53,20 +84,25 @@ def _tabulate_leaks(name: str, head: str) -> str:
 
 def tabulate_parted_skin_errors() -> str:
     """Tabulate errors of unsheared recorded pins, and the standard scores of their codes."""
-    return _tabulate_recorded_errors("parted_skin", "recorded, pins")
+    return _tabulate_recorded_errors(load_cells("parted_skin"), "recorded, pins", format_interval)
 
 
 def tabulate_parted_skin_images_errors() -> str:
     """Tabulate errors of unsheared recorded images, and the standard scores of their codes."""
-    return _tabulate_recorded_errors("parted_skin_images", "recorded, images")
+    return _tabulate_recorded_errors(_load_images(), "recorded, images", format_seeds)
 
 
-def _tabulate_recorded_errors(sweep: str, head: str) -> str:
+def _tabulate_recorded_errors(
+    table: Sequence[CellResult], head: str, format_error: Callable[[Figure, int], str]
+) -> str:
     scores = ("MIG", "SAP", "DCI disentanglement")
     heads = ["unsheared: y, mm", "z, mm", "Rz, deg", "slide x, mm", "slide y, mm", *scores]
     lines = start_table(format_line(head, heads))
-    for cell in load_cells(sweep):
-        cells = format_figures(cell.metrics, RECORDED_TARGETS, "pose/disentangled/")
+    for cell in table:
+        cells = [
+            format_error(cell.metrics[f"pose/disentangled/{target}"], digits)
+            for target, digits in RECORDED_TARGETS.items()
+        ]
         cells += [format_seeds(cell.ablation[f"slide_{axis}_mm, all/mae"]) for axis in "xy"]
         cells += [f"{cell.ablation[f'standard scores/{name}'].mean:.2f}" for name in scores]
         lines.append(format_line(cell.label, cells))

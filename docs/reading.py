@@ -97,7 +97,9 @@ def format_figures(figures: Figures, columns: Mapping[str, int], prefix: str = "
 
 
 def format_range(values: Sequence[float], digits: int) -> str:
-    """Format a mean with the least and the largest value."""
+    """Format a mean with the least and the largest value; one value alone."""
+    if len(values) == 1:
+        return f"{values[0]:.{digits}f}"
     return f"{fmean(values):.{digits}f} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
 
 
