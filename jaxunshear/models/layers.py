@@ -122,7 +122,7 @@ class VectorCode(nn.Module):
 class VectorDecoder(nn.Module):
     """Numbers (B, 1, 1, n) -> an array (B, *shape) -> what a decoder makes of it."""
 
-    shape: tuple[int, int, int]
+    shape: tuple[int, ...]
     decoder: Callable[[], nn.Module]
 
     @nn.compact
