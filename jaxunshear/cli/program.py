@@ -205,8 +205,25 @@ def _print_error(text: str) -> int:
     return 2
 
 
-def check_json(arguments: argparse.Namespace) -> None:
-    """Refuse, before any work, a file for results that would replace what others live on."""
+def check_arguments(
+    arguments: argparse.Namespace, computes: bool = True, checks_out: bool = True
+) -> None:
+    """Check the places for results, and the environment of what `computes`, before any work.
+
+    With `checks_out` --out may not lie in a run.
+    """
+    _check_json(arguments)
+    out = getattr(arguments, "out", None)
+    if computes:
+        check_new_folder(out)
+        check_environment()
+        read_source()  # as the code is now; it may be changed while this works
+    if checks_out:
+        check_outside(out, "--out")
+
+
+def _check_json(arguments: argparse.Namespace) -> None:
+    """Refuse a file for results that would replace what others live on."""
     file = getattr(arguments, "json", None)
     if file is None:
         return
@@ -234,12 +251,7 @@ def run_tool(
     arguments = parse(parser, words)
     if arguments is None:
         return 0
-    check_json(arguments)
-    out = getattr(arguments, "out", None)
-    check_new_folder(out)
-    check_outside(out, "--out")
-    check_environment()
-    read_source()  # as the code is now; it may be changed while this works
+    check_arguments(arguments)
     command = shlex.join([*parser.prog.split(), *words])
 
     def keep(rows: list[Json]) -> None:
