@@ -70,6 +70,13 @@ class Command:
                 parent.add_argument(name, **settings)
 
 
+def define_command(
+    text: str, *options: Option | list[Option], name: str = "", **settings: Any
+) -> Callable[[Run], Command]:
+    """Make a decorator that turns a function into the command of its name, or of `name`."""
+    return lambda run: Command(name or run.__name__, text, run, options, **settings)
+
+
 def option(name: str, metavar: str, text: str, **settings: Any) -> Option:
     return name, {"metavar": metavar, "help": text, **settings}
 
