@@ -22,7 +22,6 @@ from jaxunshear.data.labels import name_labels
 from jaxunshear.data.recordings import RecordedFrame, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, format_csv, write_bytes, write_text
-from jaxunshear.inference.adaptation import adapt_to_dome
 from jaxunshear.inference.forward import BATCH, UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel, load_model
 from jaxunshear.metrics.errors import compute_pose_errors
@@ -110,7 +109,7 @@ def _load_adapted_model(
     if not path.exists():
         raise UserError(f"{path} does not exist: name an image or a folder of recordings")
     model = load_model(name, like or path)
-    adapt_to_dome(model, untouched, without)
+    model.adapt_to_dome(untouched, without)
     return model
 
 

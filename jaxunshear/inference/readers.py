@@ -14,7 +14,8 @@ from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
 from jaxunshear.angles import wrap_degrees
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Preprocess, Sensor
+from jaxunshear.data.recordings import PROBES
 from jaxunshear.data.sensor_frame import SensorFrame, to_image_px
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED, BATCH, UNSHEARED, compute_confidence
@@ -23,6 +24,7 @@ from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.grey import ONE_BYTE
 from jaxunshear.perception.lattice import Lattice, make_lattice
 from jaxunshear.perception.pin_tracking import measure_motions, track_images
+from jaxunshear.perception.preprocess import View, combine_views, find_view
 from jaxunshear.perception.sensor_check import (
     FOREIGN_REASON,
     MIN_PLAUSIBILITY,
@@ -333,3 +335,21 @@ def make_frame_transforms(image_rest: np.ndarray, model_rest: np.ndarray) -> Fra
         return image_rest + (pins - model_rest) @ turn.T / scale
 
     return FrameTransforms(to_model, from_model, degrees)
+
+
+def make_steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
+    """Make a function from a camera's frames, one by one, to the view that they have in common.
+
+    It is that of the first PROBES usable frames of each size, as far as they have come.
+    """
+    views: dict[tuple[int, ...], list[View]] = {}
+    common: dict[tuple[int, ...], View] = {}
+
+    def update_view(raw: np.ndarray) -> View:
+        views_of_size = views.setdefault(raw.shape, [])
+        if len(views_of_size) < PROBES:
+            views_of_size.append(find_view(preprocess, raw))
+            common[raw.shape] = combine_views(views_of_size)
+        return common[raw.shape]
+
+    return update_view

@@ -25,10 +25,10 @@ from jaxunshear.inference.readers import (
     judge_batch,
     learn_gauge,
     make_frame_transforms,
+    make_steady_view,
     read_pins,
     turn_pose,
 )
-from jaxunshear.inference.steady_view import make_steady_view
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.lattice import Lattice, make_lattice
 from jaxunshear.perception.preprocess import Box, View, prepare_frame
