@@ -86,9 +86,10 @@ def stream(arguments: argparse.Namespace, command: str) -> int:
 def _stream(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> StreamResult:
     from jaxunshear.apps.robot.frame_sources import make_label_reader, open_source
     from jaxunshear.apps.robot.stream import Outputs, stream
+    from jaxunshear.inference.infer import adapt_to_dome
 
     settings = _make_camera_settings(arguments)
-    model.adapt_to_dome(arguments.untouched, arguments.without)
+    adapt_to_dome(model, arguments.untouched, arguments.without)
     model.with_sheared_poses = False
     model.compile(1)
     source = open_source(arguments.source, model.preprocess, settings)

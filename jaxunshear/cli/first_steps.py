@@ -62,11 +62,12 @@ def show_frames(arguments: argparse.Namespace, command: str) -> int:
     out = arguments.file or Path(f"show_{path.resolve().stem}.png")
     check_not_among(path, out.parent, "--out")
     check_outside(out, "--out")
+    from jaxunshear.inference.infer import adapt_to_dome
     from jaxunshear.report import show
 
     check_new_picture(out, show.PNG_SOFTWARE)
     model = _load_model(path, arguments)
-    model.adapt_to_dome(arguments.untouched)
+    adapt_to_dome(model, arguments.untouched)
     frames = show.predict_frames(path, model)
     write_bytes(out, show.plot_frames(frames, model))
     for frame in frames:

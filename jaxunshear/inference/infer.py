@@ -20,6 +20,7 @@ from jaxunshear.code_version import read_source
 from jaxunshear.config.targets import get_unit
 from jaxunshear.data.labels import name_labels
 from jaxunshear.data.recordings import RecordedFrame, Recordings, read_image, read_recordings
+from jaxunshear.data.sensor_frame import read_frames
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, format_csv, write_bytes, write_text
 from jaxunshear.inference.forward import BATCH, UNSHEARED
@@ -27,6 +28,7 @@ from jaxunshear.inference.trained_model import TrainedModel, load_model
 from jaxunshear.metrics.errors import compute_pose_errors
 from jaxunshear.output_checks import check_not_among
 from jaxunshear.perception.drawing import encode_png, to_uint8
+from jaxunshear.perception.lattice import check_pin_numbers
 from jaxunshear.perception.preprocess import prepare_frame
 from jaxunshear.perception.sensor_check import invert_image, judge_images
 from jaxunshear.progress import Progress
@@ -109,8 +111,27 @@ def _load_adapted_model(
     if not path.exists():
         raise UserError(f"{path} does not exist: name an image or a folder of recordings")
     model = load_model(name, like or path)
-    model.adapt_to_dome(untouched, without)
+    adapt_to_dome(model, untouched, without)
     return model
+
+
+def adapt_to_dome(
+    model: TrainedModel, untouched: Path | None = None, without: Sequence[int] = ()
+) -> None:
+    """Leave lost pins out of a model's frames, and learn where pins stand untouched.
+
+    Raises UserError.
+    """
+    if without:
+        if model.frame is None:
+            raise UserError(
+                f"--without: {model.folder} does not know the pins of these frames: leave it out, "
+                "or name a --model over pins, such as skin"
+            )
+        check_pin_numbers(without, len(model.frame.rest))
+        model.frame = model.frame._replace(lost=tuple(sorted(set(without))))
+    if untouched is not None:
+        model.learn_rest_positions(read_frames(untouched, model.preprocess, model.view))
 
 
 def _write_image(result: _Result, file: Path, model: TrainedModel) -> bool:

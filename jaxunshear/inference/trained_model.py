@@ -9,7 +9,7 @@
 """
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
@@ -31,7 +31,6 @@ from jaxunshear.data.sensor_frame import (
     SensorFrame,
     find_recordings_frame,
     parse_frame,
-    read_frames,
 )
 from jaxunshear.data.sources import DataSource, open_source
 from jaxunshear.environment import keep_freed_memory
@@ -58,7 +57,7 @@ from jaxunshear.inference.readers import (
 from jaxunshear.models.posenet import unscale_outputs
 from jaxunshear.models.registry import encode, run_in_batches, scale_inputs
 from jaxunshear.models.weights import Tree
-from jaxunshear.perception.lattice import Lattice, check_pin_numbers
+from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import SensorAppearance, measure_sensor_appearance
@@ -288,22 +287,6 @@ class TrainedModel:
         """Measure touch from where pins stand in images of the untouched dome."""
         pins = self.reader.read(check_images(images, self.size)).pins
         self.touch_reader = self.touch_reader.learn_rest_positions(images, pins)
-
-    def adapt_to_dome(self, untouched: Path | None = None, without: Sequence[int] = ()) -> None:
-        """Leave lost pins out of the frames, and learn where pins stand untouched.
-
-        Raises UserError.
-        """
-        if without:
-            if self.frame is None:
-                raise UserError(
-                    f"--without: {self.folder} does not know the pins of these frames: "
-                    "leave it out, or name a --model over pins, such as skin"
-                )
-            check_pin_numbers(without, len(self.frame.rest))
-            self.frame = self.frame._replace(lost=tuple(sorted(set(without))))
-        if untouched is not None:
-            self.learn_rest_positions(read_frames(untouched, self.preprocess, self.view))
 
     def predict(self, images: np.ndarray) -> Predictions:
         """Unshear and predict poses, with a confidence, or a reason why there are none."""

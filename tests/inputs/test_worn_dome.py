@@ -16,6 +16,7 @@ from jaxunshear.data.recordings import read_recordings
 from jaxunshear.data.sensor_frame import find_recordings_frame, read_frames
 from jaxunshear.doctor import check_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.inference.infer import adapt_to_dome
 from jaxunshear.inference.trained_model import load_model
 from jaxunshear.perception.grey import explain_exposure
 from jaxunshear.perception.lattice import Lattice, compute_rings, make_lattice
@@ -293,7 +294,7 @@ def leaves_out_of_model(place: Place) -> None:
     for number in range(20):
         Image.fromarray(draw_worn(number=number)).save(folder / f"image_{number}.png")
     model = load_model("skin", like=folder)
-    model.adapt_to_dome(folder, (INNER,))
+    adapt_to_dome(model, folder, (INNER,))
     pins = model.reader.read(read_frames(folder, model.preprocess, model.view)).pins
     assert np.isnan(pins[:, INNER]).all() and np.isfinite(np.delete(pins, INNER, axis=1)).all()
     learnt, before = model.touch_reader.gauge.lattice.rest, model.frame.rest
