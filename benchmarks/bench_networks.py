@@ -30,7 +30,7 @@ from jaxunshear.config.types import raise_first_problem
 from jaxunshear.environment import FAST, PLAIN, keep_freed_memory
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
-from jaxunshear.inference.forward import UNSHEARED, jit_for_inference, make_forward
+from jaxunshear.inference.forward import jit_for_inference, make_forward
 from jaxunshear.models import posenet, unshearnet
 from jaxunshear.models.fast import compiled_kernels
 from jaxunshear.models.layer_choice import use_layers
@@ -226,13 +226,11 @@ def _make_exported_work(net: UnshearNet, pose_net: PoseNet, image: np.ndarray) -
         )
     variables = jax.device_get(_init_stream_variables(net, pose_net))
     lattice = compute_rest_lattice(TACTIP_331, Camera(), Preprocess(size=net.size))
-    parts = ExportedModel(
-        TrainedNetwork(net, variables[DISENTANGLED], ()),
-        TrainedNetwork(pose_net, variables[POSENET], TARGETS),
-        UNSHEARED,
-        None,
-        make_sensor_check(lattice.rest, net.size),
-    )
+    networks = {
+        DISENTANGLED: TrainedNetwork(net, variables[DISENTANGLED], ()),
+        POSENET: TrainedNetwork(pose_net, variables[POSENET], TARGETS),
+    }
+    parts = ExportedModel(networks, None, make_sensor_check(lattice.rest, net.size))
     run = make_onnx_runner(build_onnx(parts, 1, None, {}), parts)
     return lambda: run(image[None]) is None
 

@@ -4,9 +4,9 @@
 
 The recorded slides are those of parted_skin.py, as images. The pose code of a slide agrees with
 that of its tap, in every direction of the code over its variance. The shear code has an encoder of
-its own, and learns the two shifts of the slide as they are labelled. A longer training tries to make
-unsheared poses as exact as recorded.py's. Three further ideas came no nearer at seed 0 and left
-this file: a tenth of the agreement, 16 numbers for the pose code, and a PoseNet in the loss.
+its own, and learns the two shifts of the slide as they are labelled. A longer training tries to
+make unsheared poses as exact as recorded.py's. Three further ideas came no nearer at seed 0 and
+left this file: a tenth of the agreement, 16 numbers for the pose code, and a PoseNet in the loss.
 
 Expected (docs/results/parted_skin_images.json and parted_skin_images_repeats.json, three seeds):
 with 12 epochs neither code leaks more than 0.02 of a ceiling, and pose errors are 12 to 35 % larger

@@ -79,7 +79,7 @@ class _Run:
 
 def _run_stage(run: _Run, stage: str) -> Results | None:
     results = None
-    seconds = read_times(run.folder).get(stage, 0.0) if _is_unfinished(run, stage) else 0.0
+    seconds = read_times(run.folder).get(stage, 0.0) if _can_continue(run, stage) else 0.0
     began, worked = time.perf_counter(), False
     try:
         if stage == "data":
@@ -98,7 +98,7 @@ def _run_stage(run: _Run, stage: str) -> Results | None:
             print(f"report: {write_report(run.folder)}")
     finally:
         # also of a stopped stage that the next run continues; a process that is killed writes none
-        if worked or _is_unfinished(run, stage):
+        if worked or _can_continue(run, stage):
             seconds += time.perf_counter() - began
             write_json(run.folder / TIMES, read_times(run.folder) | {stage: round(seconds, 3)})
     return results
@@ -167,7 +167,6 @@ def _has_training(run: _Run, network: str) -> bool:
 def _train(run: _Run, network: str) -> bool:
     if _has_training(run, network):
         return False
-    from jaxunshear.training.checkpoint import compute_weights_digest, load_best
     from jaxunshear.training.examples import (
         FRAME,
         add_single_contacts,
@@ -191,18 +190,15 @@ def _train(run: _Run, network: str) -> bool:
     task, fields = make_task(experiment, network, examples, run.folder)
     batches = examples.reader.train_batches(training.batch, seed, training.shift, fields)
     batches = add_single_contacts(batches, config, all_examples, run.data)
-    begin = start_folder(experiment, network)
+    start = start_folder(experiment, network)
     training_data = TrainingData(
         lambda step: map(rename_inputs, batches(step)),
         take_first(examples.reader.split, training.validation_images, fields),
         examples.per_epoch,
     )
-    initial = None
-    if begin:
-        weights = load_best(begin)
-        initial = InitialWeights(weights, compute_weights_digest(weights))
-    digests = list_training_digests(experiment, network, begin)
-    provenance = Provenance(source.describe_origin(config), digests, initial)
+    digests = list_training_digests(experiment, network, start)
+    weights = _load_initial_weights(start) if start else None
+    provenance = Provenance(source.describe_origin(config), digests, weights)
     summary = train(task, training, training_data, seed, folder, provenance)
     loss = "unknown" if summary.best_loss is None else f"{summary.best_loss:.5f}"
     print(
@@ -213,7 +209,14 @@ def _train(run: _Run, network: str) -> bool:
     return True
 
 
-def _is_unfinished(run: _Run, stage: str) -> bool:
+def _load_initial_weights(folder: Path) -> InitialWeights:
+    from jaxunshear.training.checkpoint import compute_weights_digest, load_best
+
+    weights = load_best(folder)
+    return InitialWeights(weights, compute_weights_digest(weights))
+
+
+def _can_continue(run: _Run, stage: str) -> bool:
     """Return whether a stopped run has left work of `stage` that can be continued."""
     if stage == "data":
         complete = _list_existing(run, configs.get_set_folder)

@@ -101,7 +101,7 @@ def calibrate(
     simulated = before.summarise(groups, images_before), after.summarise(groups, images_after)
     camera = values.camera(Camera().frame_px)
     results: Json = {
-        "rows": build_rows(summarise_recorded(groups), *simulated),
+        "rows": build_rows(summarise_recordings(groups), *simulated),
         "parameters": _build_parameter_rows(start, values, fitted, fixed),
         "preset": Calibration("", values.sensor, camera, values.friction).preset,
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
@@ -240,7 +240,7 @@ def _build_notes(
     return notes
 
 
-def summarise_recorded(groups: list[RecordedGroup]) -> list[Summary]:
+def summarise_recordings(groups: list[RecordedGroup]) -> list[Summary]:
     """Summarise the recorded images of all groups."""
     return _merge_summaries([summarise_group(group, group.observation) for group in groups])
 

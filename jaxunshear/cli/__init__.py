@@ -16,16 +16,13 @@ from jaxunshear.cli.program import (
     HELP_ALL,
     Command,
     Parser,
-    check_json,
+    check_arguments,
     parse,
     report_errors,
 )
-from jaxunshear.code_version import read_source
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import list_field_types, parse_overrides, split_overrides
-from jaxunshear.environment import check_environment
 from jaxunshear.errors import UserError
-from jaxunshear.output_checks import check_new_folder, check_outside
 
 COMMANDS: dict[str, Command] = {
     command.name: command
@@ -186,13 +183,6 @@ def _run(argv: list[str]) -> int:
     if arguments is None:
         return 0
     command = COMMANDS[arguments.command]
-    check_json(arguments)
-    out = getattr(arguments, "out", None)
-    if command.computes:
-        check_new_folder(out)
-        check_environment()
-        read_source()  # as the code is now; it may be changed while this works
-    if command.checks_out:
-        check_outside(out, "--out")
+    check_arguments(arguments, command.computes, command.checks_out)
     arguments.fields = fields
     return command.run(arguments, shlex.join(["jaxunshear", *argv]))

@@ -18,7 +18,7 @@ from jaxunshear.cli.models import (
     choose_exit_code,
     parse_stimuli,
 )
-from jaxunshear.cli.program import Command, flag, integer, json_file, option, path
+from jaxunshear.cli.program import define_command, flag, integer, json_file, option, path
 from jaxunshear.environment import keep_compiled_programs
 from jaxunshear.errors import UserError
 from jaxunshear.files import explain_os_error
@@ -40,6 +40,27 @@ INLINE = Path("-")
 NO_PICTURE = "gives no picture: busy, or no camera"
 
 
+@define_command(
+    "estimate poses live from a camera, a video or a folder: one JSON line a frame",
+    option(
+        "source",
+        "SOURCE",
+        "a folder, an image, a video; camera:N, a camera's path, URL or GStreamer "
+        "pipeline; tcp://HOST:PORT, zmq:ENDPOINT, - for stdin; or list, which shows the "
+        "cameras",
+    ),
+    *CAMERA_MODEL,
+    option("--size", "WxH", "ask the camera for frames of this size, such as 1280x720"),
+    option(
+        "--fps", "N", "ask the camera for this rate; a folder or video is played at it", type=float
+    ),
+    option("--exposure", "N", "exposure of the camera, in its own unit", type=float),
+    flag("--filter", "also smooth poses over time, and give their rates"),
+    path("--lines", "FILE", "file for the JSON lines (default: standard output)"),
+    path("--images", "DIR", "folder for unsheared images; - puts them into the lines"),
+    json_file("the summary, with command, machine and versions"),
+    checks_out=False,
+)
 def stream(arguments: argparse.Namespace, command: str) -> int:
     if arguments.source == CAMERA_LIST:
         return _list_cameras()
@@ -65,7 +86,7 @@ def stream(arguments: argparse.Namespace, command: str) -> int:
 def _stream(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> StreamResult:
     from jaxunshear.apps.robot.frame_sources import make_label_reader, open_source
     from jaxunshear.apps.robot.stream import Outputs, stream
-    from jaxunshear.inference.adaptation import adapt_to_dome
+    from jaxunshear.inference.infer import adapt_to_dome
 
     settings = _make_camera_settings(arguments)
     adapt_to_dome(model, arguments.untouched, arguments.without)
@@ -136,6 +157,29 @@ def _open_lines(path: Path | None) -> Iterator[TextIO]:
         raise explain_os_error(path, error) from error
 
 
+@define_command(
+    "export a model to ONNX or StableHLO",
+    path("model", "MODEL", "a finished run (runs/demo), or released weights by name (skin)"),
+    path(
+        "--out",
+        "FILE",
+        "new file; its name ends in .onnx or .stablehlo",
+        dest="file",
+        required=True,
+    ),
+    option("--batch", "N", "images that the file takes at once (default: any)", default="any"),
+    path(
+        "--preprocess",
+        "RECORDINGS",
+        "the file takes raw frames of a camera; these frames show their size and the dome's place",
+    ),
+    path(
+        "--like",
+        "RECORDINGS",
+        "contacts of the camera, whose mean gives the pins' rest positions, "
+        "for networks over pins that learnt from simulation alone",
+    ),
+)
 def export(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.apps.export.export import export_model
 
@@ -150,6 +194,13 @@ def export(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
+@define_command(
+    "press and slide the dome over a shape in the browser",
+    MODEL,
+    LIKE,
+    option("--stimulus", "FILE,FILE", "more shapes: outlines in files (.svg, .csv, .json)"),
+    integer("--port", "port, for this machine alone (default: 8080)", 8080),
+)
 def explore(arguments: argparse.Namespace, command: str) -> int:
     if importlib.util.find_spec("nicegui") is None:
         raise UserError(
@@ -178,82 +229,4 @@ def explore(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
-COMMANDS = (
-    Command(
-        "stream",
-        "estimate poses live from a camera, a video or a folder: one JSON line a frame",
-        stream,
-        (
-            option(
-                "source",
-                "SOURCE",
-                "a folder, an image, a video; camera:N, a camera's path, URL or GStreamer "
-                "pipeline; tcp://HOST:PORT, zmq:ENDPOINT, - for stdin; or list, which shows the "
-                "cameras",
-            ),
-            *CAMERA_MODEL,
-            option("--size", "WxH", "ask the camera for frames of this size, such as 1280x720"),
-            option(
-                "--fps",
-                "N",
-                "ask the camera for this rate; a folder or video is played at it",
-                type=float,
-            ),
-            option("--exposure", "N", "exposure of the camera, in its own unit", type=float),
-            flag("--filter", "also smooth poses over time, and give their rates"),
-            path("--lines", "FILE", "file for the JSON lines (default: standard output)"),
-            path("--images", "DIR", "folder for unsheared images; - puts them into the lines"),
-            json_file("the summary, with command, machine and versions"),
-        ),
-        checks_out=False,
-    ),
-    Command(
-        "export",
-        "export a model to ONNX or StableHLO",
-        export,
-        (
-            path(
-                "model",
-                "MODEL",
-                "a finished run (runs/demo), or released weights by name (skin)",
-            ),
-            path(
-                "--out",
-                "FILE",
-                "new file; its name ends in .onnx or .stablehlo",
-                dest="file",
-                required=True,
-            ),
-            option(
-                "--batch", "N", "images that the file takes at once (default: any)", default="any"
-            ),
-            path(
-                "--preprocess",
-                "RECORDINGS",
-                "the file takes raw frames of a camera; "
-                "these frames show their size and the dome's place",
-            ),
-            path(
-                "--like",
-                "RECORDINGS",
-                "contacts of the camera, whose mean gives the pins' rest positions, "
-                "for networks over pins that learnt from simulation alone",
-            ),
-        ),
-    ),
-    Command(
-        "explore",
-        "press and slide the dome over a shape in the browser",
-        explore,
-        (
-            MODEL,
-            LIKE,
-            option(
-                "--stimulus",
-                "FILE,FILE",
-                "more shapes: outlines in files (.svg, .csv, .json)",
-            ),
-            integer("--port", "port, for this machine alone (default: 8080)", 8080),
-        ),
-    ),
-)
+COMMANDS = (stream, export, explore)

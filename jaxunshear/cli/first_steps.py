@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxunshear.cli.models import IMAGES, LIKE, UNTOUCHED, choose_exit_code
-from jaxunshear.cli.program import Command, integer, path
+from jaxunshear.cli.program import define_command, integer, path
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_bytes
 from jaxunshear.output_checks import check_new_picture, check_not_among, check_outside
@@ -22,6 +22,17 @@ NEXT_STEPS = """\
 --unshear.input pins"""
 
 
+@define_command(
+    "write a small simulated recording with labels, to try the other commands on",
+    path("folder", "DIR", "a new or an empty folder"),
+    integer(
+        "--contacts",
+        "taps, and as many slides, of 331 pins; of 127 pins a fifth (default: 300)",
+        300,
+    ),
+    integer("--seed", "seed of poses, slides and noise (default: 0)", 0),
+    name="demo-data",
+)
 def write_demo_data(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.demo_data import write_demo_data
 
@@ -30,6 +41,20 @@ def write_demo_data(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
+@define_command(
+    "draw a few frames: sheared, unsheared, motion of the pins, poses and contact",
+    path("path", "RECORDINGS", IMAGES),
+    path(
+        "model",
+        "MODEL",
+        "a finished run, or released weights (default: skin, or skin127 for 127 pins)",
+        nargs="?",
+    ),
+    LIKE,
+    UNTOUCHED,
+    path("--out", "FILE", "PNG file (default: show_NAME.png)", dest="file"),
+    name="show",
+)
 def show_frames(arguments: argparse.Namespace, command: str) -> int:
     path = arguments.path
     if not path.exists():
@@ -37,7 +62,7 @@ def show_frames(arguments: argparse.Namespace, command: str) -> int:
     out = arguments.file or Path(f"show_{path.resolve().stem}.png")
     check_not_among(path, out.parent, "--out")
     check_outside(out, "--out")
-    from jaxunshear.inference.adaptation import adapt_to_dome
+    from jaxunshear.inference.infer import adapt_to_dome
     from jaxunshear.report import show
 
     check_new_picture(out, show.PNG_SOFTWARE)
@@ -67,36 +92,4 @@ def _load_model(path: Path, arguments: argparse.Namespace) -> "TrainedModel":
     raise UserError(f"{problems[0]}; {remedy}")
 
 
-COMMANDS = (
-    Command(
-        "demo-data",
-        "write a small simulated recording with labels, to try the other commands on",
-        write_demo_data,
-        (
-            path("folder", "DIR", "a new or an empty folder"),
-            integer(
-                "--contacts",
-                "taps, and as many slides, of 331 pins; of 127 pins a fifth (default: 300)",
-                300,
-            ),
-            integer("--seed", "seed of poses, slides and noise (default: 0)", 0),
-        ),
-    ),
-    Command(
-        "show",
-        "draw a few frames: sheared, unsheared, motion of the pins, poses and contact",
-        show_frames,
-        (
-            path("path", "RECORDINGS", IMAGES),
-            path(
-                "model",
-                "MODEL",
-                "a finished run, or released weights (default: skin, or skin127 for 127 pins)",
-                nargs="?",
-            ),
-            LIKE,
-            UNTOUCHED,
-            path("--out", "FILE", "PNG file (default: show_NAME.png)", dest="file"),
-        ),
-    ),
-)
+COMMANDS = (write_demo_data, show_frames)

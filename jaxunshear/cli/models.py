@@ -44,6 +44,35 @@ OBJECT_COLUMNS = (
 )
 
 
+def _name_model(default: str, name: str = "--model", **settings: str) -> Option:
+    text = f"a finished run (runs/demo), or released weights by name (default: {default})"
+    return path(name, "MODEL", text, default=Path(default), **settings)
+
+
+MODEL = _name_model("standard")
+LIKE = path(
+    "--like",
+    "RECORDINGS",
+    "contacts of the same sensor and camera, whose mean gives the pins' rest positions "
+    "(default: the frames themselves)",
+)
+UNTOUCHED = path(
+    "--untouched",
+    "RECORDINGS",
+    "frames of the untouched dome, in a folder or a video: contact and shear are measured "
+    "from them (default: from the mean over contacts)",
+)
+CAMERA_MODEL = (  # trained for recordings, and what it needs to read them
+    _name_model("skin"),
+    LIKE,
+    UNTOUCHED,
+    *mark_rare(WITHOUT, flag("--force", "also use images that are not of the model's sensor")),
+)
+STIMULUS = option(
+    "--stimulus", "NAME,FILE", "objects by name, or outlines in files (default: all)", default="all"
+)
+
+
 def infer(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.inference.infer import predict_recordings, unshear_recordings
 
@@ -99,6 +128,42 @@ def apply(
     return outcome
 
 
+def _define_application(
+    text: str, out: str, *options: Option | list[Option]
+) -> Callable[[Callable[..., object]], Command]:
+    """Make a decorator that turns an application into a command, see `apply`."""
+
+    def define(application: Callable[..., object]) -> Command:
+        name = application.__name__
+
+        def run(arguments: argparse.Namespace, command: str) -> int:
+            apply(application, arguments, command)
+            return 0
+
+        own = (path("--out", "DIR", out), json_file(ROWS), *options)
+        return Command(name, text, run, own, is_resumable=name == "servo", checks_out=False)
+
+    return define
+
+
+@_define_application(
+    "detect, track and draw the pins of recorded images",
+    "folder of the results (default: pins)",
+    path("path", "RECORDINGS", IMAGES),
+    [
+        option("--sensor", "NAME", "name of the sensor (default: tactip331)", default="tactip331"),
+        LAYOUT,
+        path("--model", "MODEL", "instead: sensor and camera of a simulated run"),
+    ],
+    path("--rest", "RECORDINGS", "frames of the untouched sensor (default: the images' mean)"),
+    option(
+        "--size",
+        "PX",
+        "size of the prepared images (default: the images' own, at most 256)",
+        type=int,
+    ),
+    WITHOUT,
+)
 def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None") -> object:
     from jaxunshear.data.recorded_pins import find_pins, summary
     from jaxunshear.data.recordings import read_recordings
@@ -144,6 +209,13 @@ def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None")
     return found.table
 
 
+@_define_application(
+    "estimate contact geometry from taps, sheared and unsheared images",
+    "folder of the results (default: geometry)",
+    path("path", "RECORDINGS", "recordings to estimate geometry from, too", nargs="?"),
+    MODEL,
+    integer("--contacts", "new contacts to score on, at least 5 of each shape (default: 300)", 300),
+)
 def geometry(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
     from jaxunshear.data.recordings import read_recordings
     from jaxunshear.downstream.geometry_scores import estimate_recorded_heights, score_geometry
@@ -168,6 +240,22 @@ def geometry(arguments: argparse.Namespace, out: Path, model: "TrainedModel") ->
     return scores.table
 
 
+@_define_application(
+    "follow the contours of simulated objects by touch",
+    "folder of the results (default: servo)",
+    MODEL,
+    STIMULUS,
+    integer(
+        "--starts", "trajectories around an object, for each method of perception (default: 5)", 5
+    ),
+    option(
+        "--ways",
+        "NAME,NAME",
+        "methods of perception (default: all that the model's networks allow)",
+    ),
+    option("--depth", "MM", "depth of the contact in mm (default: 3)", type=float, default=3.0),
+    integer("--seed", "seed of the starts (default: 0)", 0),
+)
 def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
     from jaxunshear.downstream.servo import ServoTask
     from jaxunshear.downstream.servo_scores import servo
@@ -191,6 +279,12 @@ def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> ob
     return ScoreTable(rows)
 
 
+@_define_application(
+    "reconstruct object shapes from the trajectories of `servo`",
+    "folder of the trajectories and the results (default: the run's servo)",
+    _name_model("standard", "model", nargs="?"),
+    STIMULUS,
+)
 def reconstruct(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
     from jaxunshear.downstream.object_reconstruction import reconstruct
     from jaxunshear.downstream.servo import load_trajectories
@@ -248,48 +342,6 @@ def choose_exit_code(used: float, left_out: float) -> int:
     return int(left_out >= used)
 
 
-def _name_model(default: str, name: str = "--model", **settings: str) -> Option:
-    text = f"a finished run (runs/demo), or released weights by name (default: {default})"
-    return path(name, "MODEL", text, default=Path(default), **settings)
-
-
-MODEL = _name_model("standard")
-LIKE = path(
-    "--like",
-    "RECORDINGS",
-    "contacts of the same sensor and camera, whose mean gives the pins' rest positions "
-    "(default: the frames themselves)",
-)
-UNTOUCHED = path(
-    "--untouched",
-    "RECORDINGS",
-    "frames of the untouched dome, in a folder or a video: contact and shear are measured "
-    "from them (default: from the mean over contacts)",
-)
-CAMERA_MODEL = (  # trained for recordings, and what it needs to read them
-    _name_model("skin"),
-    LIKE,
-    UNTOUCHED,
-    *mark_rare(WITHOUT, flag("--force", "also use images that are not of the model's sensor")),
-)
-STIMULUS = option(
-    "--stimulus", "NAME,FILE", "objects by name, or outlines in files (default: all)", default="all"
-)
-
-
-def _make_command(
-    application: Callable[..., object], text: str, out: str, *options: Option | list[Option]
-) -> Command:
-    name = application.__name__
-
-    def run(arguments: argparse.Namespace, command: str) -> int:
-        apply(application, arguments, command)
-        return 0
-
-    options = (path("--out", "DIR", out), json_file(ROWS), *options)
-    return Command(name, text, run, options, is_resumable=name == "servo", checks_out=False)
-
-
 COMMANDS = (
     Command(
         "unshear",
@@ -308,61 +360,8 @@ COMMANDS = (
         infer,
         (path("path", "RECORDINGS", IMAGES), *CAMERA_MODEL, json_file()),
     ),
-    _make_command(
-        pins,
-        "detect, track and draw the pins of recorded images",
-        "folder of the results (default: pins)",
-        path("path", "RECORDINGS", IMAGES),
-        [
-            option(
-                "--sensor", "NAME", "name of the sensor (default: tactip331)", default="tactip331"
-            ),
-            LAYOUT,
-            path("--model", "MODEL", "instead: sensor and camera of a simulated run"),
-        ],
-        path("--rest", "RECORDINGS", "frames of the untouched sensor (default: the images' mean)"),
-        option(
-            "--size",
-            "PX",
-            "size of the prepared images (default: the images' own, at most 256)",
-            type=int,
-        ),
-        WITHOUT,
-    ),
-    _make_command(
-        geometry,
-        "estimate contact geometry from taps, sheared and unsheared images",
-        "folder of the results (default: geometry)",
-        path("path", "RECORDINGS", "recordings to estimate geometry from, too", nargs="?"),
-        MODEL,
-        integer(
-            "--contacts", "new contacts to score on, at least 5 of each shape (default: 300)", 300
-        ),
-    ),
-    _make_command(
-        servo,
-        "follow the contours of simulated objects by touch",
-        "folder of the results (default: servo)",
-        MODEL,
-        STIMULUS,
-        integer(
-            "--starts",
-            "trajectories around an object, for each method of perception (default: 5)",
-            5,
-        ),
-        option(
-            "--ways",
-            "NAME,NAME",
-            "methods of perception (default: all that the model's networks allow)",
-        ),
-        option("--depth", "MM", "depth of the contact in mm (default: 3)", type=float, default=3.0),
-        integer("--seed", "seed of the starts (default: 0)", 0),
-    ),
-    _make_command(
-        reconstruct,
-        "reconstruct object shapes from the trajectories of `servo`",
-        "folder of the trajectories and the results (default: the run's servo)",
-        _name_model("standard", "model", nargs="?"),
-        STIMULUS,
-    ),
+    pins,
+    geometry,
+    servo,
+    reconstruct,
 )

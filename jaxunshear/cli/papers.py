@@ -6,7 +6,14 @@ from pathlib import Path
 
 from jaxunshear import __version__
 from jaxunshear.cli.models import choose_exit_code
-from jaxunshear.cli.program import ROWS, Command, json_file, option, path, write_measurement
+from jaxunshear.cli.program import (
+    ROWS,
+    define_command,
+    json_file,
+    option,
+    path,
+    write_measurement,
+)
 from jaxunshear.config.data import FROZEN_SPLITS
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.errors import UserError
@@ -15,8 +22,16 @@ from jaxunshear.output_checks import check_new_file, check_not_among
 
 SHOWN_NOTES = 5
 CITATIONS = Path(__file__).parents[1] / "citations.bib"
+SPLIT_NAMES = {"metavar": "NAME", "choices": FROZEN_SPLITS}
 
 
+@define_command(
+    "score unsheared images, or poses, of another method on recorded slides",
+    path("path", "RESULTS", "a folder of images named as the slides, or poses as CSV or npz"),
+    path("--recordings", "RECORDINGS", "labelled slides, and taps at their poses", required=True),
+    ("--split", SPLIT_NAMES | {"help": "score the test slides of this frozen split alone"}),
+    json_file(ROWS),
+)
 def score(arguments: argparse.Namespace, command: str) -> int:
     """Print the scores of a submission; return 1 if half of the slides or more are left out."""
     from jaxunshear.evaluation.submissions import format_rows, score_submission
@@ -38,6 +53,13 @@ def score(arguments: argparse.Namespace, command: str) -> int:
     return choose_exit_code(submission.scored, submission.slides - submission.scored)
 
 
+@define_command(
+    "check a public set that you downloaded, and list the rows of its frozen split",
+    ("name", SPLIT_NAMES | {"help": f"the public set: {', '.join(FROZEN_SPLITS)}"}),
+    path("--recordings", "RECORDINGS", "folder of your download", required=True),
+    path("--out", "FILE", "CSV of the contacts, each with its split"),
+    computes=False,
+)
 def split(arguments: argparse.Namespace, command: str) -> int:
     """Check recordings against a frozen split; return 1 if their images are not the same."""
     from jaxunshear.data.public_sets import check_public_set
@@ -55,6 +77,11 @@ def split(arguments: argparse.Namespace, command: str) -> int:
     return 0 if all(part.has_same_images for part in checked.kinds.values()) else 1
 
 
+@define_command(
+    "print the BibTeX of this software, the paper that it follows, and the public recordings",
+    option("name", "NAME", "print this entry alone (default: all)", nargs="?"),
+    computes=False,
+)
 def cite(arguments: argparse.Namespace, command: str) -> int:
     """Print the BibTeX of the software, the paper and the public recordings, or of one of them."""
     text = CITATIONS.read_text().replace("VERSION", __version__)
@@ -68,45 +95,4 @@ def cite(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
-SPLIT_NAMES = {"metavar": "NAME", "choices": FROZEN_SPLITS}
-COMMANDS = (
-    Command(
-        "score",
-        "score unsheared images, or poses, of another method on recorded slides",
-        score,
-        (
-            path(
-                "path", "RESULTS", "a folder of images named as the slides, or poses as CSV or npz"
-            ),
-            path(
-                "--recordings",
-                "RECORDINGS",
-                "labelled slides, and taps at their poses",
-                required=True,
-            ),
-            (
-                "--split",
-                SPLIT_NAMES | {"help": "score the test slides of this frozen split alone"},
-            ),
-            json_file(ROWS),
-        ),
-    ),
-    Command(
-        "split",
-        "check a public set that you downloaded, and list the rows of its frozen split",
-        split,
-        (
-            ("name", SPLIT_NAMES | {"help": f"the public set: {', '.join(FROZEN_SPLITS)}"}),
-            path("--recordings", "RECORDINGS", "folder of your download", required=True),
-            path("--out", "FILE", "CSV of the contacts, each with its split"),
-        ),
-        computes=False,
-    ),
-    Command(
-        "cite",
-        "print the BibTeX of this software, the paper that it follows, and the public recordings",
-        cite,
-        (option("name", "NAME", "print this entry alone (default: all)", nargs="?"),),
-        computes=False,
-    ),
-)
+COMMANDS = (score, split, cite)

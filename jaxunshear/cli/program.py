@@ -70,6 +70,13 @@ class Command:
                 parent.add_argument(name, **settings)
 
 
+def define_command(
+    text: str, *options: Option | list[Option], name: str = "", **settings: Any
+) -> Callable[[Run], Command]:
+    """Make a decorator that turns a function into the command of its name, or of `name`."""
+    return lambda run: Command(name or run.__name__, text, run, options, **settings)
+
+
 def option(name: str, metavar: str, text: str, **settings: Any) -> Option:
     return name, {"metavar": metavar, "help": text, **settings}
 
@@ -205,8 +212,25 @@ def _print_error(text: str) -> int:
     return 2
 
 
-def check_json(arguments: argparse.Namespace) -> None:
-    """Refuse, before any work, a file for results that would replace what others live on."""
+def check_arguments(
+    arguments: argparse.Namespace, computes: bool = True, checks_out: bool = True
+) -> None:
+    """Check the places for results, and the environment of what `computes`, before any work.
+
+    With `checks_out` --out may not lie in a run.
+    """
+    _check_json(arguments)
+    out = getattr(arguments, "out", None)
+    if computes:
+        check_new_folder(out)
+        check_environment()
+        read_source()  # as the code is now; it may be changed while this works
+    if checks_out:
+        check_outside(out, "--out")
+
+
+def _check_json(arguments: argparse.Namespace) -> None:
+    """Refuse a file for results that would replace what others live on."""
     file = getattr(arguments, "json", None)
     if file is None:
         return
@@ -234,12 +258,7 @@ def run_tool(
     arguments = parse(parser, words)
     if arguments is None:
         return 0
-    check_json(arguments)
-    out = getattr(arguments, "out", None)
-    check_new_folder(out)
-    check_outside(out, "--out")
-    check_environment()
-    read_source()  # as the code is now; it may be changed while this works
+    check_arguments(arguments)
     command = shlex.join([*parser.prog.split(), *words])
 
     def keep(rows: list[Json]) -> None:

@@ -9,6 +9,7 @@ from jaxunshear.cli.program import (
     ROWS,
     WITHOUT,
     Command,
+    define_command,
     flag,
     integer,
     json_file,
@@ -29,6 +30,22 @@ COMPARE_OUT = Path("runs/compare")
 FOUND = "what was found, with command, machine and versions"  # what `--json` writes
 
 
+RUN = path("run", "MODEL", "folder of a finished run, such as runs/demo")
+TABLES = path("--tables", "DIR", "also write every table of the page as CSV and LaTeX")
+CATALOGUE_OPTIONS = (
+    ("action", {"choices": ("list", "draw"), "nargs": "?", "default": "list"}),
+    ("name", {"metavar": "NAME", "nargs": "?", "help": "what to draw"}),
+    path("--out", "FILE", "PNG, SVG or PDF to draw to (default: NAME.png)"),
+)
+
+
+@define_command(
+    "check a folder of recordings and suggest the next command",
+    path("path", "RECORDINGS", "a folder of recordings, one above several, or an image"),
+    LAYOUT,
+    WITHOUT,
+    json_file(FOUND),
+)
 def doctor(arguments: argparse.Namespace, command: str) -> int:
     """Run the command; return 0, or 1 if no command can use the frames."""
     from jaxunshear.doctor import check_recordings, describe
@@ -39,6 +56,12 @@ def doctor(arguments: argparse.Namespace, command: str) -> int:
     return 0 if diagnosis.usable else 1
 
 
+@define_command(
+    "find the layout of a sensor's markers, if it is not a known one",
+    path("path", "RECORDINGS", "frames of the untouched sensor, or taps"),
+    path("--out", "FILE", "new file of the layout, as JSON", dest="file", required=True),
+    json_file(FOUND),
+)
 def layout(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.results.layout import read_layout
     from jaxunshear.results.record_files import write_record
@@ -61,6 +84,12 @@ def layout(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
+@define_command(
+    "fit the simulator's camera, pins, friction and stiffness to recordings",
+    path("recordings", "RECORDINGS", "a folder of recordings"),
+    path("--out", "DIR", "folder for figures"),
+    json_file(ROWS),
+)
 def calibrate(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.calibration.calibrate import calibrate
 
@@ -72,6 +101,15 @@ def calibrate(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
+@define_command(
+    "compare simulated with recorded pin motion, contact by contact",
+    path("recordings", "RECORDINGS", "a folder of labelled recordings"),
+    path("--calibration", "FILE", "calibration.json of `calibrate` (default: the fitted preset)"),
+    integer("--contacts", "contacts to draw from each folder; 0: all (default: 400)", 400),
+    integer("--seed", "seed of the draw (default: 0)", 0),
+    path("--out", "DIR", "folder for validate.png and validate.txt"),
+    json_file(ROWS),
+)
 def validate(arguments: argparse.Namespace, command: str) -> int:
     if arguments.out is not None:
         check_not_among(arguments.recordings, arguments.out, "--out")
@@ -89,6 +127,13 @@ def validate(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
+@define_command(
+    "write the HTML page of a finished run",
+    RUN,
+    TABLES,
+    path("--figures", "DIR", "also write every plot of the page as PDF"),
+    computes=False,
+)
 def report(arguments: argparse.Namespace, command: str) -> int:
     check_new_folder(arguments.tables, "--tables")
     check_new_folder(arguments.figures, "--figures")
@@ -107,6 +152,12 @@ def report(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
+@define_command(
+    "compare finished runs: settings that differ, scores with intervals, times",
+    path("runs", "MODEL", "folders of finished runs; the first is the reference", nargs="+"),
+    path("--out", "DIR", f"folder of the page (default: {COMPARE_OUT})", default=COMPARE_OUT),
+    TABLES,
+)
 def compare(arguments: argparse.Namespace, command: str) -> int:
     check_new_folder(arguments.tables, "--tables")
     from jaxunshear.compare import write_comparison
@@ -126,6 +177,11 @@ def _write_tables(page: Path, arguments: argparse.Namespace) -> None:
         print(f"{len(written)} files of tables: {arguments.tables}")
 
 
+@define_command(
+    "pack the weights of a finished run for reuse, with a model card",
+    RUN,
+    path("--out", "DIR", "a new folder; its name is the weights'", required=True),
+)
 def release(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.release import release
 
@@ -133,6 +189,13 @@ def release(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
+@define_command(
+    "adapt a run over pins to another day or a moved camera, by labelled taps alone",
+    path("run", "MODEL", "folder of a finished run over pins, such as runs/fit"),
+    path("--taps", "RECORDINGS", "50 labelled taps or more of that day", required=True),
+    path("--out", "DIR", "a new folder, for the adapted run", required=True),
+    DATA,
+)
 def adapt(arguments: argparse.Namespace, command: str) -> int:
     """Adapt a run to another day, and print how its pins stand there."""
     from jaxunshear.adapt import adapt
@@ -147,6 +210,13 @@ def adapt(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
+@define_command(
+    "test what the latent codes contain: swap, blank and exchange them (the paper's appendix D)",
+    RUN,
+    DATA,
+    flag("--leakage", "measure by probes what each code holds that it should not"),
+    json_file(),
+)
 def ablate(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.evaluation import code_swaps, codes, leakage
 
@@ -188,119 +258,16 @@ def catalogue(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
-RUN = path("run", "MODEL", "folder of a finished run, such as runs/demo")
-TABLES = path("--tables", "DIR", "also write every table of the page as CSV and LaTeX")
-CATALOGUE_OPTIONS = (
-    ("action", {"choices": ("list", "draw"), "nargs": "?", "default": "list"}),
-    ("name", {"metavar": "NAME", "nargs": "?", "help": "what to draw"}),
-    path("--out", "FILE", "PNG, SVG or PDF to draw to (default: NAME.png)"),
-)
 COMMANDS = (
-    Command(
-        "doctor",
-        "check a folder of recordings and suggest the next command",
-        doctor,
-        (
-            path("path", "RECORDINGS", "a folder of recordings, one above several, or an image"),
-            LAYOUT,
-            WITHOUT,
-            json_file(FOUND),
-        ),
-    ),
-    Command(
-        "layout",
-        "find the layout of a sensor's markers, if it is not a known one",
-        layout,
-        (
-            path("path", "RECORDINGS", "frames of the untouched sensor, or taps"),
-            path("--out", "FILE", "new file of the layout, as JSON", dest="file", required=True),
-            json_file(FOUND),
-        ),
-    ),
-    Command(
-        "calibrate",
-        "fit the simulator's camera, pins, friction and stiffness to recordings",
-        calibrate,
-        (
-            path("recordings", "RECORDINGS", "a folder of recordings"),
-            path("--out", "DIR", "folder for figures"),
-            json_file(ROWS),
-        ),
-    ),
-    Command(
-        "validate",
-        "compare simulated with recorded pin motion, contact by contact",
-        validate,
-        (
-            path("recordings", "RECORDINGS", "a folder of labelled recordings"),
-            path(
-                "--calibration",
-                "FILE",
-                "calibration.json of `calibrate` (default: the fitted preset)",
-            ),
-            integer("--contacts", "contacts to draw from each folder; 0: all (default: 400)", 400),
-            integer("--seed", "seed of the draw (default: 0)", 0),
-            path("--out", "DIR", "folder for validate.png and validate.txt"),
-            json_file(ROWS),
-        ),
-    ),
-    Command(
-        "report",
-        "write the HTML page of a finished run",
-        report,
-        (
-            RUN,
-            TABLES,
-            path("--figures", "DIR", "also write every plot of the page as PDF"),
-        ),
-        computes=False,
-    ),
-    Command(
-        "compare",
-        "compare finished runs: settings that differ, scores with intervals, times",
-        compare,
-        (
-            path(
-                "runs", "MODEL", "folders of finished runs; the first is the reference", nargs="+"
-            ),
-            path(
-                "--out", "DIR", f"folder of the page (default: {COMPARE_OUT})", default=COMPARE_OUT
-            ),
-            TABLES,
-        ),
-    ),
-    Command(
-        "release",
-        "pack the weights of a finished run for reuse, with a model card",
-        release,
-        (
-            RUN,
-            path("--out", "DIR", "a new folder; its name is the weights'", required=True),
-        ),
-    ),
-    Command(
-        "adapt",
-        "adapt a run over pins to another day or a moved camera, by labelled taps alone",
-        adapt,
-        (
-            path("run", "MODEL", "folder of a finished run over pins, such as runs/fit"),
-            path("--taps", "RECORDINGS", "50 labelled taps or more of that day", required=True),
-            path("--out", "DIR", "a new folder, for the adapted run", required=True),
-            DATA,
-        ),
-    ),
-    Command(
-        "ablate",
-        "test what the latent codes contain: swap, blank and exchange them "
-        "(the paper's appendix D)",
-        ablate,
-        (
-            RUN,
-            DATA,
-            flag("--leakage", "measure by probes what each code holds that it should not"),
-            json_file(),
-        ),
-    ),
+    doctor,
+    layout,
+    calibrate,
+    validate,
+    report,
+    compare,
+    release,
+    adapt,
+    ablate,
     *(
         Command(name, f"list or draw the {name}", catalogue, CATALOGUE_OPTIONS, computes=False)
         for name in ("sensors", "stimuli")

@@ -30,7 +30,7 @@ from jaxunshear.inference.edge_methods import Unshear, load_unshearers
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import measure_motions
-from jaxunshear.perception.sensor_check import compute_plausibility, explain_rejection
+from jaxunshear.perception.sensor_check import MIN_PLAUSIBILITY, judge_image
 from jaxunshear.results.applications import GeometryScore, GeometryScores
 
 SEED = 0
@@ -187,11 +187,11 @@ def estimate_recorded_heights(
     frames = list(islice(recordings.iterate_frames(), SHOWN_IMAGES))
     batch = np.stack([frame.image for frame in frames])
     # networks over images render pins for any input, so the recorded image decides
-    plausibility = [compute_plausibility(image, model.appearance) for image in batch]
-    plausible = np.array([not explain_rejection(True, each) for each in plausibility])
+    plausibility = np.array([judge_image(image, model.appearance).plausibility for image in batch])
     motions = {"as recorded": measure_motions(model.lattice, batch)}
     motions |= {name: unshear(batch) for name, unshear in result.networks.items()}
     heights = {}
     for kind, motion in motions.items():
-        heights[kind] = np.where(plausible[:, None], result.methods[INVERSE](motion), np.nan)
+        height_mm = result.methods[INVERSE](motion)
+        heights[kind] = np.where(plausibility[:, None] < MIN_PLAUSIBILITY, np.nan, height_mm)
     return [frame.name for frame in frames], heights

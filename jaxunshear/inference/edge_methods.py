@@ -18,9 +18,9 @@ from jax import Array
 from jaxunshear.config import networks
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.errors import UserError
-from jaxunshear.inference.forward import jit_for_inference, make_forward, scale_inputs
+from jaxunshear.inference.forward import jit_for_inference, make_forward
 from jaxunshear.inference.trained_model import TrainedModel
-from jaxunshear.models.registry import unshear
+from jaxunshear.models.registry import scale_inputs, unshear
 from jaxunshear.models.weights import Variables
 from jaxunshear.training.checkpoint import compute_weights_digest
 

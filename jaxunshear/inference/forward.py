@@ -12,28 +12,21 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxunshear.config.networks import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.models import posenet
-from jaxunshear.models.registry import predict, unshear
-from jaxunshear.models.weights import Tree, Variables
+from jaxunshear.models.registry import predict, scale_inputs, unshear
+from jaxunshear.models.weights import Variables
 from jaxunshear.training.checkpoint import TrainedNetwork
 
 AS_RECORDED, UNSHEARED = "as_recorded", "unsheared"  # what a pose is predicted from
 LEARNT = "learnt"  # poses by a PoseNet that was trained on slides
 BATCH = 32
 
-AnyArray = TypeVar("AnyArray", np.ndarray, Array)
 # (variables by network, inputs) -> unsheared or as they are, and pose by quantity, (B,) each
 Forward = Callable[[Variables, Array], tuple[Array, dict[str, Array]]]
 Outputs = TypeVar("Outputs")
-
-
-def scale_inputs(inputs: AnyArray) -> AnyArray:
-    """Scale images (B, S, S) uint8 to (B, S, S, 1) in [0, 1]; pins and scaled images stay."""
-    return inputs[..., None].astype(np.float32) / 255 if inputs.dtype == np.uint8 else inputs
 
 
 def make_forward(networks: Mapping[str, TrainedNetwork]) -> Forward:
@@ -89,21 +82,6 @@ def compute_confidence(image: Array) -> Array:
     """
     total = jnp.sum(image)
     return jnp.where(total > 0, jnp.sum(image**2) / jnp.where(total > 0, total, 1), 0)
-
-
-def run_in_batches(
-    run: Callable[[np.ndarray], Tree], inputs: np.ndarray, batch_size: int = BATCH
-) -> Tree:
-    """Run a function of any number of images or pins, (N, ...), in batches of one shape.
-
-    One shape is compiled once. The results of `run` are arrays (B, ...), or a tree of them.
-    """
-    parts = []
-    for start in range(0, len(inputs), batch_size):
-        part = inputs[start : start + batch_size]
-        outputs = jax.device_get(run(np.resize(part, (batch_size, *part.shape[1:]))))
-        parts.append(jax.tree.map(lambda values, count=len(part): values[:count], outputs))
-    return jax.tree.map(lambda *values: np.concatenate(values), *parts)
 
 
 def jit_for_inference(run: Callable[..., Outputs], variables: Variables) -> Callable[..., Outputs]:

@@ -20,14 +20,15 @@ from jaxunshear.code_version import read_source
 from jaxunshear.config.targets import get_unit
 from jaxunshear.data.labels import name_labels
 from jaxunshear.data.recordings import RecordedFrame, Recordings, read_image, read_recordings
+from jaxunshear.data.sensor_frame import read_frames
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, format_csv, write_bytes, write_text
-from jaxunshear.inference.adaptation import adapt_to_dome
 from jaxunshear.inference.forward import BATCH, UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel, load_model
 from jaxunshear.metrics.errors import compute_pose_errors
 from jaxunshear.output_checks import check_not_among
 from jaxunshear.perception.drawing import encode_png, to_uint8
+from jaxunshear.perception.lattice import check_pin_numbers
 from jaxunshear.perception.preprocess import prepare_frame
 from jaxunshear.perception.sensor_check import invert_image, judge_images
 from jaxunshear.progress import Progress
@@ -79,46 +80,72 @@ def unshear_recordings(
         untouched: Frames of the untouched dome, from which touch is measured.
         without: Pins that are lost.
     """
-    _check_exists(path)
     check_not_among(path, out, "--out")
-    model = load_model(model_name, like or path)
-    adapt_to_dome(model, untouched, without)
+    model = _load_adapted_model(path, model_name, like, untouched, without)
     # of the images as they are only errors against labels are reported, which others cannot have
     model.with_sheared_poses = model.source.predicts_directly
     run = _FolderRun(path, model, force)
-    recordings = run.recordings
-    files = _list_png_files(recordings.names)
+    notes, files = run.recordings.notes, _list_png_files(run.recordings.names)
     table: list[Json] = []
     for result in run.predict("unshear"):
-        file = files[result.row]
-        if result.unsheared is None:
-            raise UserError(
-                f"{model.folder} has no network that unshears: it learnt poses alone; "
-                "use `jaxunshear pose`"
-            )
-        if result.reason:  # an image of an earlier run would appear to be the result
-            (out / file).unlink(missing_ok=True)
-        else:
-            write_bytes(out / file, encode_png(to_uint8(result.unsheared)))
-        cells: Json = {"name": result.name, "image": "" if result.reason else file}
+        image = _write_image(result, out / files[result.row], model)
+        cells: Json = {"name": result.name, "image": files[result.row] if image else ""}
         cells |= _format_poses(result.poses.get(UNSHEARED, {})) | _format_poses(result.touch)
         table.append(cells | run.format_labels(result))
-    write_text(out / "poses.csv", format_csv(table))
-    notes = list(recordings.notes)
     if not model.targets:
         notes.append(f"{model.folder} has no trained PoseNet: poses.csv holds no predicted poses")
-    lines = [
-        model.source.describe(),
-        model.source.pose_frame,
-        f"Networks: {model.folder.name}",
-        *notes,
-    ]
+    source = model.source
+    lines = [source.describe(), source.pose_frame, f"Networks: {model.folder.name}", *notes]
+    write_text(out / "poses.csv", format_csv(table))
     write_text(out / "NOTE.txt", "\n".join(lines) + "\n")
     print(
         f"{run.used_count} images unsheared, {run.left_out_count} left out; see {out / 'poses.csv'}"
     )
     time_row = _make_row("unshear.time_per_image", float(np.median(run.seconds)), "s")
-    return run.report("unshear", notes, [], [time_row], print)
+    return run.report("unshear", [time_row], print)
+
+
+def _load_adapted_model(
+    path: Path, name: Path, like: Path | None, untouched: Path | None, without: Sequence[int]
+) -> TrainedModel:
+    if not path.exists():
+        raise UserError(f"{path} does not exist: name an image or a folder of recordings")
+    model = load_model(name, like or path)
+    adapt_to_dome(model, untouched, without)
+    return model
+
+
+def adapt_to_dome(
+    model: TrainedModel, untouched: Path | None = None, without: Sequence[int] = ()
+) -> None:
+    """Leave lost pins out of a model's frames, and learn where pins stand untouched.
+
+    Raises UserError.
+    """
+    if without:
+        if model.frame is None:
+            raise UserError(
+                f"--without: {model.folder} does not know the pins of these frames: leave it out, "
+                "or name a --model over pins, such as skin"
+            )
+        check_pin_numbers(without, len(model.frame.rest))
+        model.frame = model.frame._replace(lost=tuple(sorted(set(without))))
+    if untouched is not None:
+        model.learn_rest_positions(read_frames(untouched, model.preprocess, model.view))
+
+
+def _write_image(result: _Result, file: Path, model: TrainedModel) -> bool:
+    """Write the image of a result that is not rejected; say whether there is one."""
+    if result.unsheared is None:
+        raise UserError(
+            f"{model.folder} has no network that unshears: it learnt poses alone; "
+            "use `jaxunshear pose`"
+        )
+    if result.reason:  # an image of an earlier run would appear to be the result
+        file.unlink(missing_ok=True)
+    else:
+        write_bytes(file, encode_png(to_uint8(result.unsheared)))
+    return not result.reason
 
 
 def predict_recordings(
@@ -134,9 +161,7 @@ def predict_recordings(
     They are printed as CSV. Notes and errors against the labels go to stderr, so that the CSV can
     be piped. Arguments and exceptions are those of `unshear_recordings`.
     """
-    _check_exists(path)
-    model = load_model(model_name, like or path)
-    adapt_to_dome(model, untouched, without)
+    model = _load_adapted_model(path, model_name, like, untouched, without)
     if not model.targets:
         raise UserError(
             f"{model.folder / 'posenet'} holds no trained model (no checkpoints): "
@@ -159,7 +184,7 @@ def predict_recordings(
     print(format_csv(table).rstrip("\n"))
     log = partial(print, file=sys.stderr)
     log(f"poses of {run.used_count} images, {run.left_out_count} left out")
-    return run.report("pose", run.recordings.notes, rows, [], log)
+    return run.report("pose", rows, log)
 
 
 class _FolderRun:
@@ -243,68 +268,41 @@ class _FolderRun:
                     cells[f"recorded_{kind}_{label}"] = f"{value:.6g}" if np.isfinite(value) else ""
         return cells | {"left_out": result.reason}
 
-    def report(
-        self,
-        command: str,
-        notes: list[str],
-        rows: list[Measurement],
-        times: list[Measurement],
-        log: Log,
-    ) -> Measured:
-        """Log counts, errors and notes; return rows about images, counts, times and errors."""
+    def report(self, command: str, rows: list[Measurement], log: Log) -> Measured:
+        """Log counts, errors and notes; return the rows with those of counts and errors."""
         for reason, count in self._reasons.items():
             log(f"left out {count}: {reason}")
-        errors = self._compute_label_errors()
-        for kind in dict.fromkeys(name.split(".")[0] for name in errors):
-            parts = [
-                f"{name.split('.')[1]} {value:.3f}"
-                for name, value in errors.items()
-                if name.startswith(f"{kind}.")
-            ]
+        counts = {"images": self.used_count, "left_out": self.left_out_count}
+        rows = [*rows, *(_make_row(f"{command}.{name}", n, "1") for name, n in counts.items())]
+        for kind, errors in self._compute_label_errors().items():
+            parts = [f"{name} {value:.3f}" for name, value in errors.items()]
             log(f"mean error against the labels, {kind}: {', '.join(parts)}")
-        notes = [*notes, self.model.source.describe()]
+            for name, value in errors.items():
+                rows.append(_make_row(f"pose_mae.{kind}.{name}", value, get_unit(name)))
+        notes = [*self.recordings.notes, self.model.source.describe()]
         for note in (*notes[: SHOWN_NOTES - 1], *notes[SHOWN_NOTES - 1 :][-1:]):
             log(f"note: {note}")
         if len(notes) > SHOWN_NOTES:
             log(f"note: and {len(notes) - SHOWN_NOTES} more")
-        counts = {f"{command}.images": self.used_count, f"{command}.left_out": self.left_out_count}
-        rows = [
-            *rows,
-            *(_make_row(name, count, "1") for name, count in counts.items()),
-            *times,
-            *(
-                _make_row(f"pose_mae.{name}", value, get_unit(name))
-                for name, value in errors.items()
-            ),
-        ]
         return Measured(rows, describe_machine(), list_versions(), read_source())
 
-    def _compute_label_errors(self) -> dict[str, float]:
+    def _compute_label_errors(self) -> Poses:
         """Compute mean errors by kind and quantity, if all quantities of poses have labels."""
         recorded = self.recordings
         labels = name_labels(recorded.poses, recorded.moves, recorded.others)
-        true = {
-            name: values[self._rows] for name, values in labels.items() if name in self._targets
-        }
-        means: dict[str, float] = {}
-        if len(true) != len(self._targets) or not self._poses:
-            return means
+        if not self._poses or not labels.keys() >= {*self._targets}:
+            return {}
+        true = {name: labels[name][self._rows] for name in self._targets}
+        means: dict[str, dict[str, float]] = {}
         for kind in self._poses[0]:
-            predicted: dict[str, list[float]] = {name: [] for name in self._targets}
-            for poses in self._poses:
-                for name, column in predicted.items():
-                    column.append(poses[kind][name])
-            arrays = {name: np.array(column) for name, column in predicted.items()}
-            for name, errors in compute_pose_errors(arrays, true).items():
+            predicted = {}
+            for name in self._targets:
+                predicted[name] = np.array([poses[kind][name] for poses in self._poses])
+            for name, errors in compute_pose_errors(predicted, true).items():
                 finite = errors[np.isfinite(errors)]
                 if len(finite):
-                    means[f"{kind}.{name}"] = float(finite.mean(dtype=np.float64))
+                    means.setdefault(kind, {})[name] = float(finite.mean(dtype=np.float64))
         return means
-
-
-def _check_exists(path: Path) -> None:
-    if not path.exists():
-        raise UserError(f"{path} does not exist: name an image or a folder of recordings")
 
 
 def _sample_images(recordings: Recordings, model: TrainedModel) -> np.ndarray:

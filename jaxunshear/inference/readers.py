@@ -14,24 +14,22 @@ from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
 from jaxunshear.angles import wrap_degrees
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import Preprocess, Sensor
+from jaxunshear.data.recordings import PROBES
 from jaxunshear.data.sensor_frame import SensorFrame, to_image_px
 from jaxunshear.errors import UserError
-from jaxunshear.inference.forward import (
-    AS_RECORDED,
-    UNSHEARED,
-    compute_confidence,
-    run_in_batches,
-)
+from jaxunshear.inference.forward import AS_RECORDED, BATCH, UNSHEARED, compute_confidence
+from jaxunshear.models.registry import run_in_batches
 from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.grey import ONE_BYTE
 from jaxunshear.perception.lattice import Lattice, make_lattice
 from jaxunshear.perception.pin_tracking import measure_motions, track_images
+from jaxunshear.perception.preprocess import View, combine_views, find_view
 from jaxunshear.perception.sensor_check import (
+    FOREIGN_REASON,
     MIN_PLAUSIBILITY,
-    NO_MINIMUM,
+    UNIDENTIFIED_REASON,
     SensorAppearance,
-    explain_rejection,
     judge_image,
 )
 from jaxunshear.perception.touch import (
@@ -42,7 +40,7 @@ from jaxunshear.perception.touch import (
     make_recorded_gauge,
     make_scaled_gauge,
     make_touch_gauge,
-    may_be_untouched,
+    may_touch_nothing,
     measure_touch,
 )
 
@@ -132,7 +130,7 @@ class ImageReader:
         self, lattice: Lattice, unshear: Unshear, images: np.ndarray
     ) -> np.ndarray:
         """Measure pin motions (N, P, 2) px in unsheared images; NaN if not identified."""
-        return measure_motions(lattice, run_in_batches(unshear, images)[..., 0])
+        return measure_motions(lattice, run_in_batches(unshear, images, BATCH)[..., 0])
 
 
 def read_pins(
@@ -183,7 +181,7 @@ class PinReader(NamedTuple):
     ) -> np.ndarray:
         motion, identified = track_images(lattice, images)
         pins = (lattice.rest + motion).astype(np.float32)
-        unsheared = run_in_batches(unshear, pins) - lattice.rest
+        unsheared = run_in_batches(unshear, pins, BATCH) - lattice.rest
         return np.where(identified[:, None, None], unsheared, np.nan)
 
 
@@ -216,7 +214,7 @@ class TouchReader(NamedTuple):
         reasons = zip(judged.rejection.tolist(), judged.pins, strict=True)
         rows = np.array(
             [
-                not (force or reason) and may_be_untouched(self.gauge, detected)
+                not (force or reason) and may_touch_nothing(self.gauge, detected)
                 for reason, detected in reasons
             ]
         )
@@ -297,15 +295,17 @@ class Judgement(NamedTuple):
 def judge_batch(
     images: np.ndarray, identified: np.ndarray, expected: SensorAppearance, force: bool
 ) -> Judgement:
-    """Judge whether images are of the expected sensor, with their pins identified."""
-    minimum = NO_MINIMUM if force else MIN_PLAUSIBILITY
+    """Judge whether images are of the expected sensor, with their pins `identified` (B,).
+
+    Every command that answers images uses this rule. With `force` any sensor will do. Networks that
+    need no identities take all pins as identified.
+    """
     judged = [judge_image(image, expected) for image in images]
     plausibility, familiarity, pins = zip(*judged, strict=True)
-    rejection = [
-        explain_rejection(*each, minimum)
-        for each in zip(identified.tolist(), plausibility, strict=True)
-    ]
-    return Judgement(np.array(rejection), np.array(plausibility), np.array(familiarity), pins)
+    is_foreign = (np.array(plausibility) < MIN_PLAUSIBILITY) & (not force)
+    rejection = np.where(is_foreign, FOREIGN_REASON, "")
+    rejection = np.where(identified, rejection, UNIDENTIFIED_REASON)
+    return Judgement(rejection, np.array(plausibility), np.array(familiarity), pins)
 
 
 def add_no_contact(reasons: np.ndarray, touch: Touch, force: bool) -> np.ndarray:
@@ -335,3 +335,21 @@ def make_frame_transforms(image_rest: np.ndarray, model_rest: np.ndarray) -> Fra
         return image_rest + (pins - model_rest) @ turn.T / scale
 
     return FrameTransforms(to_model, from_model, degrees)
+
+
+def make_steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
+    """Make a function from a camera's frames, one by one, to the view that they have in common.
+
+    It is that of the first PROBES usable frames of each size, as far as they have come.
+    """
+    views: dict[tuple[int, ...], list[View]] = {}
+    common: dict[tuple[int, ...], View] = {}
+
+    def update_view(raw: np.ndarray) -> View:
+        views_of_size = views.setdefault(raw.shape, [])
+        if len(views_of_size) < PROBES:
+            views_of_size.append(find_view(preprocess, raw))
+            common[raw.shape] = combine_views(views_of_size)
+        return common[raw.shape]
+
+    return update_view

@@ -36,13 +36,7 @@ from jaxunshear.data.sources import DataSource, open_source
 from jaxunshear.environment import keep_freed_memory
 from jaxunshear.errors import Note, UserError
 from jaxunshear.files import read_object
-from jaxunshear.inference.forward import (
-    BATCH,
-    jit_for_inference,
-    make_full_forward,
-    run_in_batches,
-    scale_inputs,
-)
+from jaxunshear.inference.forward import BATCH, jit_for_inference, make_full_forward
 from jaxunshear.inference.readers import (
     Codes,
     ImageReader,
@@ -57,11 +51,11 @@ from jaxunshear.inference.readers import (
     compute_confidences,
     judge_batch,
     make_pin_reader,
+    make_steady_view,
     make_touch_reader,
 )
-from jaxunshear.inference.steady_view import make_steady_view
 from jaxunshear.models.posenet import unscale_outputs
-from jaxunshear.models.registry import encode
+from jaxunshear.models.registry import encode, run_in_batches, scale_inputs
 from jaxunshear.models.weights import Tree
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice

@@ -22,7 +22,7 @@ from jaxunshear.config.types import claim_name
 from jaxunshear.models import pin_networks, posenet, unet, unshearnet
 from jaxunshear.models.modality import IMAGES, PINS, Modality
 from jaxunshear.models.reconstruction import Reconstruction
-from jaxunshear.models.weights import Net, Tree, Variables, get_module, list_leaves
+from jaxunshear.models.weights import AnyArray, Net, Tree, Variables, get_module, list_leaves
 
 
 class InitFacts(NamedTuple):
@@ -167,6 +167,24 @@ def find_settings_class(kind: str) -> type | None:
 def get_net_modality(net: Net) -> Modality:
     """Return the modality of a network."""
     return get_functions(net).modality
+
+
+def scale_inputs(inputs: AnyArray) -> AnyArray:
+    """Scale images (B, S, S) uint8 to (B, S, S, 1) in [0, 1]; pins and scaled images stay."""
+    return inputs[..., None].astype(np.float32) / 255 if inputs.dtype == np.uint8 else inputs
+
+
+def run_in_batches(run: Callable[[np.ndarray], Tree], inputs: np.ndarray, batch_size: int) -> Tree:
+    """Run a function of any number of examples, (N, ...), in batches of one shape.
+
+    One shape is compiled once. The results of `run` are arrays (B, ...), or a tree of them.
+    """
+    parts = []
+    for start in range(0, max(1, len(inputs)), batch_size):
+        part = inputs[start : start + batch_size]
+        outputs = jax.device_get(run(np.resize(part, (batch_size, *part.shape[1:]))))
+        parts.append(jax.tree.map(lambda values, count=len(part): values[:count], outputs))
+    return jax.tree.map(lambda *values: np.concatenate(values), *parts)
 
 
 def unshear(net: Net, variables: Variables, inputs: Float[Array, "*B"]) -> Float[Array, "*B"]:

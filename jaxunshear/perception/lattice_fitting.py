@@ -1,6 +1,7 @@
 """Fit the lattice of a camera's images to them, however the camera frames and turns them."""
 
 from collections.abc import Sequence
+from itertools import product, starmap
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -141,10 +142,8 @@ def _guess_rest(frames: list[np.ndarray], layout: MarkerLayout) -> np.ndarray:
         return float(np.mean([np.median(tree.query(expected)[0]) for tree in trees]))
 
     turns = np.radians(np.arange(-layout.symmetry_deg / 2, layout.symmetry_deg / 2, TURN_DEG))
-    distance = np.empty((len(turns), len(RADIAL_BENDS)))
-    for row, turn in enumerate(turns):
-        for column, bend in enumerate(RADIAL_BENDS):
-            distance[row, column] = measure_distance(turn, bend)
+    distances = list(starmap(measure_distance, product(turns, RADIAL_BENDS)))
+    distance = np.reshape(distances, (len(turns), len(RADIAL_BENDS)))
     near_best = np.flatnonzero(distance.min(axis=1) <= MAX_MATCH_RATIO * distance.min())
     best = near_best[np.argmin(np.abs(turns[near_best]))]
     return place(turns[best], RADIAL_BENDS[np.argmin(distance[best])])

@@ -4,7 +4,7 @@ A sensor's appearance is five numbers, measured in the same way on its pins at r
 None of them changes when the sensor is turned.
 
     expected = measure_sensor_appearance(lattice.rest, 128)
-    compute_plausibility(image, expected)  # near 1 for its images, near 0 for noise, other sensors
+    judge_image(image, expected).plausibility  # near 1 for its images, near 0 for others
     judge_images(images, expected).reason  # "about 127 pins are found, the model's sensor has 331"
 """
 
@@ -27,7 +27,6 @@ EVEN_NEIGHBOURS = 4  # of a pin, whose distances show whether it stands evenly
 MAX_UNEVENNESS = 0.35  # of the spacing by which such a distance may differ from it
 MIN_EVEN_SHARE = 0.7  # of the expected share: with fewer even pins there is no lattice
 MIN_PLAUSIBILITY = 0.5  # of an image of the sensor; also the share of such images in its folders
-NO_MINIMUM = 0.0  # in the place of MIN_PLAUSIBILITY: whatever the image shows
 UNIDENTIFIED_REASON = "its pins cannot be identified for sure"
 FOREIGN_REASON = "its pins do not match the model's sensor"
 
@@ -89,13 +88,11 @@ def measure_sensor_appearance(pins_px: np.ndarray, size: int) -> SensorAppearanc
     return SensorAppearance(len(pins), spacing / size, rim / size, column, row, regular)
 
 
-def measure_image_appearance(image: np.ndarray) -> SensorAppearance:
-    """Measure the pins of a binary image (S, S) uint8 of {0, 255}."""
-    return _measure_image(image)[0]
+def measure_image(image: np.ndarray) -> tuple[SensorAppearance, np.ndarray]:
+    """Measure the pins of a binary image (S, S) uint8 of {0, 255}, and return them (N, 2) px.
 
-
-def _measure_image(image: np.ndarray) -> tuple[SensorAppearance, np.ndarray]:
-    """Measure an image's pins, and return them (N, 2) px; of dust none are found."""
+    Of dust none are found.
+    """
     dots = ndimage.label(np.asarray(image) > 127)[1]
     if dots > (len(image) / MIN_SPACING_PX) ** 2:  # finding pins in dust takes long
         return SensorAppearance(dots), np.zeros((0, 2))
@@ -111,14 +108,9 @@ def invert_image(image: np.ndarray) -> np.ndarray:
     return np.where(dark, np.uint8(255), np.uint8(0))
 
 
-def compute_plausibility(image: np.ndarray, expected: SensorAppearance) -> float:
-    """Return how likely a binary image (S, S) uint8 is one of this sensor's, in [0, 1]."""
-    return judge_image(image, expected).plausibility
-
-
 def judge_image(image: np.ndarray, expected: SensorAppearance) -> ImageJudgement:
     """Judge a binary image (S, S) uint8 by its pins."""
-    appearance, pins = _measure_image(image)
+    appearance, pins = measure_image(image)
     familiarity = _compute_familiarity(appearance, expected)
     return ImageJudgement(_score(appearance, expected), familiarity, pins)
 
@@ -154,22 +146,9 @@ def _compute_differences(
     return {name: value / ALLOWED_DIFFERENCE[name] for name, value in differences.items()}
 
 
-def explain_rejection(
-    identified: bool, plausibility: float, min_plausibility: float = MIN_PLAUSIBILITY
-) -> str:
-    """Say why an image is rejected, so that it has no pose; empty if it is not.
-
-    Every command that answers images uses this rule. `identified`: its pins were identified, or the
-    networks need no identities.
-    """
-    if not identified:
-        return UNIDENTIFIED_REASON
-    return FOREIGN_REASON if plausibility < min_plausibility else ""
-
-
 def judge_images(images: np.ndarray, expected: SensorAppearance) -> Verdict:
     """Judge one or more images (N, S, S) uint8 of {0, 255} of a folder; twenty are enough."""
-    appearances = [measure_image_appearance(image) for image in images]
+    appearances = [measure_image(image)[0] for image in images]
     foreign = [each for each in appearances if _score(each, expected) < MIN_PLAUSIBILITY]
     if len(foreign) <= MIN_PLAUSIBILITY * len(images):
         return Verdict(True, "", False)
@@ -189,7 +168,7 @@ def _score_inverse(image: np.ndarray, expected: SensorAppearance) -> float:
     inverse = invert_image(image)
     thickness = max(1, round(len(image) / 128))
     thinner = ndimage.binary_erosion(inverse, iterations=thickness) * np.uint8(255)
-    return max(compute_plausibility(inverse, expected), compute_plausibility(thinner, expected))
+    return max(judge_image(each, expected).plausibility for each in (inverse, thinner))
 
 
 def _explain_difference(foreign: list[SensorAppearance], expected: SensorAppearance) -> str:

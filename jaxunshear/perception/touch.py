@@ -213,10 +213,8 @@ def _describe_slide(gauge: TouchGauge, field: MotionField) -> Float[np.ndarray, 
     ring. Motions are divided by the largest one, strains by the largest strain. No feature depends
     on how the sensor is turned or mirrored.
     """
-    strain, motion = field.strain, field.motion_mm
+    strain, motion, share = field.strain, field.motion_mm, _weigh_strained_pins(field.strain)
     largest = strain.max(axis=1)
-    share = np.maximum(strain - MIDDLE_STRAIN * largest[:, None], 0)
-    share = share / np.maximum(share.sum(axis=1, keepdims=True), LEAST)
     drag = np.einsum("bp,bpc->bc", share, motion)
     drag_mm = np.linalg.norm(drag, axis=-1)
     along = drag / np.maximum(drag_mm, LEAST)[:, None]
@@ -226,10 +224,7 @@ def _describe_slide(gauge: TouchGauge, field: MotionField) -> Float[np.ndarray, 
     forward, sideways = np.einsum("bpc,abc->abp", motion, axes)
     distance = np.hypot(ahead, aside)
     reach = np.maximum(distance, NEAR_MIDDLE_MM)
-    limits = np.array(CONTACT_RINGS_MM)
-    middle, width = (limits[1:] + limits[:-1]) / 2, np.diff(limits) / 1.5
-    ring = np.exp(-np.square((distance[:, None] - middle[:, None]) / width[:, None]))
-    ring = ring / np.maximum(ring.sum(axis=-1, keepdims=True), LEAST)
+    ring, outer_mm = _weigh_rings(distance), np.array(CONTACT_RINGS_MM[1:])
 
     def average(values: np.ndarray) -> np.ndarray:
         mean: np.ndarray = np.einsum("brp,bp->br", ring, values)
@@ -254,12 +249,26 @@ def _describe_slide(gauge: TouchGauge, field: MotionField) -> Float[np.ndarray, 
         average(forward * second) - dragged * average(second),
     ]
     strains = [  # before the middle less behind it; to its left less to its right
-        average(field.divergence * ahead) / limits[1:],
-        average(field.curl * aside) / limits[1:],
+        average(field.divergence * ahead) / outer_mm,
+        average(field.curl * aside) / outer_mm,
     ]
     rings = [each / np.maximum(motion_mm, LEAST)[:, None] for each in motions]
     rings += [each / np.maximum(largest, LEAST)[:, None] for each in strains]
     return np.concatenate([np.log(np.stack(sizes, axis=-1) + LEAST), *rings], axis=1)
+
+
+def _weigh_strained_pins(strain: np.ndarray) -> Float[np.ndarray, "B P"]:
+    """Weigh pins for the middle of the contact, by how far they are strained (B, P)."""
+    share = np.maximum(strain - MIDDLE_STRAIN * strain.max(axis=1, keepdims=True), 0)
+    return share / np.maximum(share.sum(axis=1, keepdims=True), LEAST)
+
+
+def _weigh_rings(distance: np.ndarray) -> Float[np.ndarray, "B R P"]:
+    """Weigh pins for means over rings, by their distances (B, P) mm from the contact's middle."""
+    limits = np.array(CONTACT_RINGS_MM)
+    middle, width = (limits[1:] + limits[:-1]) / 2, np.diff(limits) / 1.5
+    ring = np.exp(-np.square((distance[:, None] - middle[:, None]) / width[:, None]))
+    return ring / np.maximum(ring.sum(axis=-1, keepdims=True), LEAST)
 
 
 @cache
@@ -271,7 +280,6 @@ def load_weights(path: Path = WEIGHTS) -> TouchWeights:
 
 def predict_touch(weights: TouchWeights, features: TouchFeatures) -> Touch:
     """Predict what B images show."""
-
     contact = expit(features.sizes @ weights.contact[:-1] + weights.contact[-1])
     units = np.tanh(features.slide @ weights.slip_units[:-1] + weights.slip_units[-1])
     touched = np.where(contact < MIN_CONTACT, np.nan, 1.0)
@@ -300,7 +308,7 @@ def measure_touch(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> Touch:
     return Touch(*values)
 
 
-def may_be_untouched(gauge: TouchGauge, detected: Float[np.ndarray, "N 2"]) -> bool:
+def may_touch_nothing(gauge: TouchGauge, detected: Float[np.ndarray, "N 2"]) -> bool:
     """Say whether pins px whose identities are not known may be of a dome that touches nothing.
 
     Of such a dome each pin is the one next to its place. If these show a contact, there is one.

@@ -205,7 +205,7 @@ def compute_projection_slopes(
     )
 
 
-def solve_linearised(increment: Increment, slope: Array, right: Array) -> Array:
+def solve_linear_system(increment: Increment, slope: Array, right: Array) -> Array:
     """Solve (I - D (I - W)) df = right for df (B, N, 3) in the level frame.
 
     Free nodes, D = 0, drop out: as long as no scene touches with more than `max_touching` nodes,

@@ -29,13 +29,12 @@ from jaxunshear.errors import UserError
 from jaxunshear.simulator import dome as domes
 from jaxunshear.simulator.contact_problem import RHO, ContactProblem, System, make_undeformed_skins
 from jaxunshear.simulator.contacts import check_paths
-from jaxunshear.simulator.implicit import GOAL_MM, compute_pin_state
+from jaxunshear.simulator.implicit import compute_pin_state
 from jaxunshear.simulator.level import Level, get_level
 from jaxunshear.simulator.paths import TURNS, Paths, cut_increments
 from jaxunshear.simulator.scheduler import Simulation, Stimuli, find_reachable_nodes
 from jaxunshear.simulator.stimuli import Obstacles
 
-SWITCH_MM = 1e-6  # nearer to a switch than this, rounding decides on which side a node is found
 TOUCHING_SHARE = 0.75  # of the nodes within reach: about as many as ever touch at once
 
 
@@ -109,18 +108,8 @@ class PinPositions(NamedTuple):
     """
 
     pins: Array  # (B, P, 3) mm in the sensor frame
-    margin_mm: Array  # (B,)
-    residual_mm: Array  # (B,) of the worst increment
-
-    @property
-    def at_switch(self) -> Array:
-        """(B,) whether the derivative is that of the side on which rounding put a node."""
-        return self.margin_mm < SWITCH_MM
-
-    @property
-    def is_solved(self) -> Array:
-        """(B,) whether the derivatives say anything."""
-        return self.residual_mm <= GOAL_MM[self.residual_mm.dtype.name]
+    margin_mm: Array  # (B,) below 1e-6 rounding decides on which side of a switch a node is
+    residual_mm: Array  # (B,) of the worst increment; solved up to `implicit.GOAL_MM`
 
 
 def make_pin_model(

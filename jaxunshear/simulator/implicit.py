@@ -35,7 +35,7 @@ from jaxunshear.simulator.contact_problem import (
     Skin,
     compute_projection_slopes,
     project,
-    solve_linearised,
+    solve_linear_system,
 )
 from jaxunshear.simulator.friction import (
     LEAST_MM,
@@ -196,7 +196,7 @@ def _differentiate_contact_force(
     finite = jnp.where(jnp.isinf(increment.friction), 0, tangent.friction)
     through_total = jnp.einsum("bnij,bnj->bni", slopes.by_force, change)
     right = slopes.by_friction * finite[:, None, None] - through_total
-    return force, solve_linearised(increment, slopes.by_force, right)
+    return force, solve_linear_system(increment, slopes.by_force, right)
 
 
 class _RoundState(NamedTuple):
@@ -249,7 +249,7 @@ def _polish_force(increment: Increment, force: Array, error: Array, goal: Array)
         force, error = state.force, state.error
         trial = increment.compute_trial_force(force)
         slope = compute_projection_slopes(trial, increment.friction).by_force
-        after = force - solve_linearised(increment, slope, increment.compute_miss(force))
+        after = force - solve_linear_system(increment, slope, increment.compute_miss(force))
         error_after = _compute_size(increment.compute_miss(after))
         better = (error_after < error) & (error > goal)
         return _NewtonState(

@@ -30,7 +30,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import IMAGES, PINS
-from jaxunshear.models.registry import get_net_modality, predict
+from jaxunshear.models.registry import get_net_modality, predict, run_in_batches, scale_inputs
 from jaxunshear.training.checkpoint import MODEL, TrainedNetwork, load_network
 from jaxunshear.training.losses import ANOTHER, ONE, TAPS
 from jaxunshear.training.provenance import check_origin
@@ -74,7 +74,7 @@ class HelperLoader:
             return run(posenet.scale_poses({"pose": poses}, targets))
 
         def render(poses: np.ndarray) -> np.ndarray:
-            return _run_in_parts(render_part, poses, POSES_AT_ONCE)
+            return run_in_batches(render_part, poses, POSES_AT_ONCE)
 
         return render
 
@@ -94,20 +94,20 @@ class HelperLoader:
         net, variables, targets = load_helper(
             self.run_dir / POSENET_SHEARED, "slides without labels"
         )
-        over_pins = self.experiment.unshear.input == "pins"
-        predict = partial((pin_networks if over_pins else posenet).predict, net, variables)
-        run = jax.jit(lambda inputs: posenet.unscale_outputs(predict(inputs), targets))
+
+        @jax.jit
+        def run(inputs: jax.Array) -> dict[str, jax.Array]:
+            return posenet.unscale_outputs(predict(net, variables, inputs), targets)
 
         def estimate_part(inputs: np.ndarray) -> np.ndarray:
-            if not over_pins:
-                inputs = inputs[..., None].astype(np.float32) / 255
-            poses = run(inputs)
+            poses = run(scale_inputs(inputs))
             zero = np.zeros(len(inputs), np.float32)
             columns = [np.asarray(poses.get(name, zero)) for name in RECORDED_FIELDS]
             return np.stack(columns, axis=-1)
 
         def estimate(images: np.ndarray | None, pins: np.ndarray) -> np.ndarray:
-            return _run_in_parts(estimate_part, pins if images is None else images, IMAGES_AT_ONCE)
+            inputs = pins if images is None else images
+            return run_in_batches(estimate_part, inputs, IMAGES_AT_ONCE)
 
         return estimate
 
@@ -134,19 +134,6 @@ def measure_pin_spread(reader: Reader, field: str, rest: np.ndarray) -> float:
     """Measure how far the pins of training examples have moved, root mean square in px."""
     pins = read_all_training(reader, field)[field]
     return float(np.sqrt(np.nanmean(np.square(pins - rest))))
-
-
-def _run_in_parts(
-    function: Callable[[np.ndarray], ArrayLike], values: np.ndarray, count: int
-) -> np.ndarray:
-    """Run `function` on `values` (N, ...), `count` at a time: one shape to compile."""
-    results = []
-    for start in range(0, max(1, len(values)), count):
-        part = values[start : start + count]
-        filled = np.zeros((count, *values.shape[1:]), values.dtype)
-        filled[: len(part)] = part
-        results.append(np.asarray(function(filled))[: len(part)])
-    return np.concatenate(results)
 
 
 def select_few_pairs(examples: Examples, share: float, seed: int) -> Examples:

@@ -19,7 +19,7 @@ from jaxunshear.models import pin_networks
 from jaxunshear.models.modality import PINS, Batch
 from jaxunshear.models.registry import InitFacts, get_functions, get_net_modality
 from jaxunshear.models.unshearnet import match_entangled_size
-from jaxunshear.models.weights import Net, Variables
+from jaxunshear.models.weights import Net
 from jaxunshear.training import tasks
 from jaxunshear.training.augmentation import (
     Rotations,
@@ -61,8 +61,9 @@ def make_task(
         rotations = _make_rotations(examples) if getattr(net, "rotated_share", 0) else None
         render = None
         if "rendered_pose" in training.losses:
-            renderer = _load_helper(experiment, RENDERER, folder)
-            render = partial(pin_networks.render_pins, *renderer)
+            renderer = load_helper(folder / RENDERER, "other networks")
+            check_origin(experiment, RENDERER, folder)
+            render = partial(pin_networks.render_pins, renderer.net, renderer.variables)
         support = tasks.PinAugmentation(rotations, render)
         task = tasks.make_posenet_task(net, training, targets, facts, support)
     else:
@@ -139,10 +140,3 @@ def _make_rotations(examples: Examples) -> Rotations:
     batch, rest = read_all_training(reader, modality_field, "pose"), examples.pins.rest
     sense = find_rotation_sense(rest, batch[modality_field], batch["pose"], examples.targets)
     return make_rotations(rest, sense)
-
-
-def _load_helper(experiment: Experiment, network: str, folder: Path) -> tuple[Net, Variables]:
-    """Load settings and variables of a network that another learns from. Raises UserError."""
-    net, variables, _ = load_helper(folder / network, "other networks")
-    check_origin(experiment, network, folder)
-    return net, variables

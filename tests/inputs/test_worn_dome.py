@@ -16,7 +16,7 @@ from jaxunshear.data.recordings import read_recordings
 from jaxunshear.data.sensor_frame import find_recordings_frame, read_frames
 from jaxunshear.doctor import check_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.inference.adaptation import adapt_to_dome
+from jaxunshear.inference.infer import adapt_to_dome
 from jaxunshear.inference.trained_model import load_model
 from jaxunshear.perception.grey import explain_exposure
 from jaxunshear.perception.lattice import Lattice, compute_rings, make_lattice

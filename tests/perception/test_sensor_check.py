@@ -18,11 +18,10 @@ from jaxunshear.perception.lattice_fitting import compute_rest_lattice, fit_latt
 from jaxunshear.perception.pin_detection import detect_pin_centres
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import (
-    compute_plausibility,
     invert_image,
     judge_image,
     judge_images,
-    measure_image_appearance,
+    measure_image,
     measure_sensor_appearance,
 )
 from jaxunshear.simulator.camera import render_frame
@@ -57,8 +56,10 @@ def estrange(kind, images, rng):
 def test_known_images_are_plausible_also_turned_drifted_and_with_specks(sets, name):
     rng = np.random.default_rng(2)
     images, expected = sets[name].images, sets[name].expected
-    plain = np.array([compute_plausibility(image, expected) for image in images])
-    other_day = np.array([compute_plausibility(varied(image, rng), expected) for image in images])
+    plain = np.array([judge_image(image, expected).plausibility for image in images])
+    other_day = np.array(
+        [judge_image(varied(image, rng), expected).plausibility for image in images]
+    )
     assert np.median(plain) > 0.95 and np.mean(plain > 0.5) > 0.9
     assert np.median(other_day) > 0.9 and np.mean(other_day > 0.5) > 0.8
     assert judge_images(images, expected).ok and judge_images(images, expected).reason == ""
@@ -69,7 +70,7 @@ def test_strangers_are_not(sets, kind):
     rng = np.random.default_rng(3)
     for name in ("331", "127"):
         made = estrange(kind, sets[name].images[:8], rng)
-        likely = [compute_plausibility(image, sets[name].expected) for image in made]
+        likely = [judge_image(image, sets[name].expected).plausibility for image in made]
         assert np.median(likely) < 0.05, name
         assert not judge_images(made, sets[name].expected).ok
 
@@ -84,7 +85,7 @@ def grey():
 def test_what_is_seen_is_where_the_pins_are(sets, grey):
     place = compute_rest_lattice(TACTIP_331, Camera(), Preprocess()).rest
     expected = sets["331"].expected
-    seen = measure_image_appearance(prepare_frame(Preprocess(), grey, FULL_VIEW))
+    seen = measure_image(prepare_frame(Preprocess(), grey, FULL_VIEW))[0]
     assert seen.pins == expected.pins == 331
     assert seen.spacing == pytest.approx(expected.spacing, rel=0.02)
     assert seen.rim == pytest.approx(expected.rim, rel=0.02)
@@ -147,13 +148,13 @@ def test_half_of_a_folder_is_enough(sets):
 @pytest.mark.parametrize("value", [0, 255])
 def test_images_without_pins(sets, size, value):
     image = np.full((size, size), value, np.uint8)
-    assert compute_plausibility(image, sets["331"].expected) == 0
+    assert judge_image(image, sets["331"].expected).plausibility == 0
     assert judge_images(image[None], sets["331"].expected).reason
 
 
 def test_other_sizes_are_the_same_sensor(sets):
     large = [np.kron(image, np.ones((2, 2), np.uint8)) for image in sets["331"].images[:4]]
-    assert all(compute_plausibility(image, sets["331"].expected) > 0.9 for image in large)
+    assert all(judge_image(image, sets["331"].expected).plausibility > 0.9 for image in large)
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -180,7 +181,7 @@ def test_real_images(sets, real_recordings):
     slides = _packed(real_recordings / "edge_2d_shear_train.npz", 30)
     lattice = fit_lattice([detect_pin_centres(image) for image in taps], make_layout(TACTIP_331))
     expected = measure_sensor_appearance(lattice.rest, 128)
-    likely = np.array([compute_plausibility(image, expected) for image in slides])
+    likely = np.array([judge_image(image, expected).plausibility for image in slides])
     assert np.median(likely) > 0.95 and np.mean(likely > 0.5) >= 0.9
     assert np.median([judge_image(image, expected).familiarity for image in slides]) > 0.95
     assert judge_images(slides[:20], expected).ok

@@ -135,12 +135,12 @@ def test_an_untouched_dome_may_be_so(shift, missing):
     still = move(np.zeros((2, 2)), shift, noise_px=0.15)
     assert touch.measure_touch(GAUGE, still).contact[0] < touch.MIN_CONTACT
     order = np.random.default_rng(2).permutation(np.setdiff1d(np.arange(331), missing))
-    assert touch.may_be_untouched(GAUGE, still[0, order])
+    assert touch.may_touch_nothing(GAUGE, still[0, order])
 
 
 def test_a_clear_contact_is_one_without_identities():
-    assert not touch.may_be_untouched(GAUGE, press(3)[0, ::-1] + np.array([1.5, -1]))
-    assert touch.may_be_untouched(GAUGE, np.zeros((0, 2)))
+    assert not touch.may_touch_nothing(GAUGE, press(3)[0, ::-1] + np.array([1.5, -1]))
+    assert touch.may_touch_nothing(GAUGE, np.zeros((0, 2)))
 
 
 def test_pins_that_are_missing_are_filled_in():

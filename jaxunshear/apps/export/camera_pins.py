@@ -25,10 +25,10 @@ from jaxunshear.inference.readers import (
     judge_batch,
     learn_gauge,
     make_frame_transforms,
+    make_steady_view,
     read_pins,
     turn_pose,
 )
-from jaxunshear.inference.steady_view import make_steady_view
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.lattice import Lattice, make_lattice
 from jaxunshear.perception.preprocess import Box, View, prepare_frame
@@ -37,11 +37,25 @@ from jaxunshear.perception.touch import (
     TouchGauge,
     TouchWeights,
     make_scaled_gauge,
-    may_be_untouched,
+    may_touch_nothing,
     measure_touch,
 )
 
-DATA = (SensorFrame, View, Box, Preprocess, SensorAppearance, TouchWeights)
+
+class UntouchedDome(NamedTuple):
+    """The pins of an untouched dome, from where touch is measured, and the scale of motions."""
+
+    rest: np.ndarray  # (P, 2) px of the prepared image
+    mm_per_px: float
+    stiffness: float
+    weights: TouchWeights
+
+    def make_gauge(self, ring: np.ndarray, lost: tuple[int, ...]) -> TouchGauge:
+        lattice = make_lattice(self.rest, ring, lost)
+        return make_scaled_gauge(lattice, self.mm_per_px, self.stiffness, self.weights)
+
+
+DATA = (SensorFrame, View, Box, Preprocess, SensorAppearance, TouchWeights, UntouchedDome)
 HEADING = '''"""Finds the pins of a camera's frames for {name}. Written by jaxunshear {version}.
 
     reading = CAMERA.read(frame)  # (H, W), or (H, W, channels) in the order red, green, blue
@@ -73,10 +87,7 @@ class CameraPins:
     frame: SensorFrame
     model_rest: np.ndarray  # (P, 2) px, of the exported file
     appearance: SensorAppearance
-    untouched: np.ndarray  # (P, 2) px of the prepared image, from where touch is measured
-    mm_per_px: float
-    stiffness: float
-    weights: TouchWeights
+    untouched: UntouchedDome
 
     @cached_property
     def lattice(self) -> Lattice:
@@ -88,8 +99,7 @@ class CameraPins:
 
     @cached_property
     def gauge(self) -> TouchGauge:
-        untouched = make_lattice(self.untouched, self.frame.ring, self.frame.lost)
-        return make_scaled_gauge(untouched, self.mm_per_px, self.stiffness, self.weights)
+        return self.untouched.make_gauge(self.frame.ring, self.frame.lost)
 
     def read(self, frame: np.ndarray) -> CameraReading:
         """Read a frame (H, W) or (H, W, channels) of the camera, as `TrainedModel.predict` does."""
@@ -116,7 +126,8 @@ class CameraPins:
         images = np.stack([prepare_frame(self.preprocess, frame, view) for frame in frames])
         pins = read_pins(self.lattice, self.frame, self.transforms, images).pins
         assert pins is not None
-        return replace(self, untouched=learn_gauge(self.gauge, pins).lattice.rest)
+        rest = learn_gauge(self.gauge, pins).lattice.rest
+        return replace(self, untouched=self.untouched._replace(rest=rest))
 
     def turn_pose(self, pose: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Turn poses of the file, by name, from the model's sensor to this camera's."""
@@ -133,10 +144,7 @@ class CameraImages:
     rest: np.ndarray  # (P, 2) px of the prepared image, against which pins are tracked
     ring: np.ndarray  # (P,)
     lost: tuple[int, ...]
-    untouched: np.ndarray  # (P, 2) px, from where touch is measured
-    mm_per_px: float
-    stiffness: float
-    weights: TouchWeights
+    untouched: UntouchedDome
 
     @cached_property
     def find_view(self) -> Callable[[np.ndarray], View]:
@@ -144,8 +152,7 @@ class CameraImages:
 
     @cached_property
     def reader(self) -> TouchReader:
-        untouched = make_lattice(self.untouched, self.ring, self.lost)
-        gauge = make_scaled_gauge(untouched, self.mm_per_px, self.stiffness, self.weights)
+        gauge = self.untouched.make_gauge(self.ring, self.lost)
         return TouchReader(make_lattice(self.rest, self.ring, self.lost), gauge)
 
     def prepare(self, frame: np.ndarray) -> np.ndarray:
@@ -167,7 +174,7 @@ class CameraImages:
         judged = judge_batch(images, np.ones(1, bool), self.appearance, force=False)
         pins = self.reader.track(images)
         touch = self.reader.measure(images, pins)
-        is_touched = not may_be_untouched(self.reader.gauge, judged.pins[0])
+        is_touched = not may_touch_nothing(self.reader.gauge, judged.pins[0])
         reason = str(add_no_contact(judged.rejection, touch, force=is_touched)[0])
         inputs, familiarity = images * (not reason), float(judged.familiarity[0])
         return CameraReading(inputs, pins[0], touch.describe(0), reason, familiarity)
@@ -178,7 +185,8 @@ class CameraImages:
         Raises UserError.
         """
         learnt = self.reader.learn_rest_positions(np.stack(list(map(self.prepare, frames))), None)
-        return replace(self, untouched=learnt.gauge.lattice.rest)
+        rest = learnt.gauge.lattice.rest
+        return replace(self, untouched=self.untouched._replace(rest=rest))
 
     def turn_pose(self, pose: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return poses of the file as they are: this camera's sensor stands as the model's."""
@@ -199,34 +207,20 @@ def get_module_path(file: Path) -> Path:
 def describe_camera_pins(model: TrainedModel, model_rest: np.ndarray) -> CameraPins:
     """Describe the camera of a model with a frame, over pins that rest at (P, 2) px."""
     assert model.frame is not None
-    gauge = model.touch_reader.gauge
-    return CameraPins(
-        model.preprocess,
-        model.frame,
-        model_rest,
-        model.appearance,
-        gauge.lattice.rest,
-        gauge.mm_per_px,
-        gauge.stiffness,
-        gauge.weights,
-    )
+    untouched = _describe_untouched_dome(model)
+    return CameraPins(model.preprocess, model.frame, model_rest, model.appearance, untouched)
 
 
 def describe_camera_images(model: TrainedModel, view: View | None) -> CameraImages:
     """Describe the camera of a model over images; `view` has the crop of its frames, if known."""
-    lattice, gauge = model.touch_reader
-    return CameraImages(
-        model.preprocess,
-        view,
-        model.appearance,
-        lattice.rest,
-        lattice.ring,
-        lattice.lost,
-        gauge.lattice.rest,
-        gauge.mm_per_px,
-        gauge.stiffness,
-        gauge.weights,
-    )
+    lattice, untouched = model.touch_reader.lattice, _describe_untouched_dome(model)
+    pins = lattice.rest, lattice.ring, lattice.lost
+    return CameraImages(model.preprocess, view, model.appearance, *pins, untouched)
+
+
+def _describe_untouched_dome(model: TrainedModel) -> UntouchedDome:
+    gauge = model.touch_reader.gauge
+    return UntouchedDome(gauge.lattice.rest, gauge.mm_per_px, gauge.stiffness, gauge.weights)
 
 
 def write_pin_module(camera: CameraPins | CameraImages, inputs: str, file: Path) -> Path:

@@ -59,8 +59,8 @@ def export_model(
     batch: int | None = None,
     preprocess: Path | None = None,
     like: Path | None = None,
-) -> float:
-    """Write a model to `out` and return the largest difference to JAX, over an output's range.
+) -> None:
+    """Write a model to `out`, and print its largest difference to JAX, over an output's range.
 
     Beside the file stands the module that finds pins in frames and says whether they show a
     contact; for networks over pins only if the model knows a camera. Raises UserError, and then
@@ -81,8 +81,11 @@ def export_model(
         )
     _check_extra(out.suffix)
     parts, camera = load_exported_model(model), None
+    if preprocess is not None:
+        from jaxunshear.apps.export.onnx_graph import read_camera
+
+        camera = read_camera(preprocess, model.preprocess, model.view)
     if out.suffix == ONNX:
-        camera = _read_camera(model, preprocess)
         data, difference = _export_onnx(parts, model, batch, camera)
     else:
         data, difference = _export_stablehlo(parts, batch)
@@ -96,7 +99,6 @@ def export_model(
     print(f"{out}: {size}, differs from JAX by at most {difference:.1e} of an output's range")
     module.unlink(missing_ok=True)  # of an earlier file, perhaps of another camera
     _write_module(model, parts, camera, out)
-    return difference
 
 
 def _write_module(
@@ -138,12 +140,6 @@ def _check_extra(suffix: str) -> None:
             import onnxruntime  # noqa: F401
     except ImportError as error:
         raise UserError(f"a file that ends in {suffix} needs {error.name}: {EXTRA}") from None
-
-
-def _read_camera(model: TrainedModel, preprocess: Path | None) -> "ExportCamera | None":
-    from jaxunshear.apps.export.onnx_graph import read_camera
-
-    return read_camera(preprocess, model.preprocess, model.view) if preprocess else None
 
 
 def _export_onnx(

@@ -27,11 +27,10 @@ from jaxunshear.inference.forward import (
     LEARNT,
     UNSHEARED,
     compute_confidence,
-    scale_inputs,
+    make_full_forward,
 )
 from jaxunshear.inference.trained_model import TrainedModel
-from jaxunshear.models import posenet
-from jaxunshear.models.registry import predict, unshear
+from jaxunshear.models.registry import scale_inputs
 from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.sensor_check import MIN_PLAUSIBILITY, MIN_SPACING_PX
 from jaxunshear.training.checkpoint import TrainedNetwork
@@ -45,12 +44,25 @@ CHECK_INPUTS = 6
 class ExportedModel(NamedTuple):
     """The networks of a model that a robot runs."""
 
-    unshear_network: TrainedNetwork | None
-    pose_network: TrainedNetwork | None
-    # UNSHEARED or AS_RECORDED, by the input of `pose_network`; LEARNT if it learnt from slides
-    method: str
+    # DISENTANGLED, and POSENET or POSENET_SHEARED, as far as there are any
+    networks: dict[str, TrainedNetwork]
     rest: np.ndarray | None  # (P, 2) px, the untouched pins of networks over pins
     check: SensorCheck
+
+    @property
+    def unshear_network(self) -> TrainedNetwork | None:
+        return self.networks.get(DISENTANGLED)
+
+    @property
+    def pose_network(self) -> TrainedNetwork | None:
+        return self.networks.get(POSENET, self.networks.get(POSENET_SHEARED))
+
+    @property
+    def method(self) -> str:
+        """The input of poses, UNSHEARED or AS_RECORDED; LEARNT if PoseNet learnt from slides."""
+        if POSENET in self.networks:
+            return UNSHEARED if DISENTANGLED in self.networks else AS_RECORDED
+        return LEARNT if POSENET_SHEARED in self.networks else ""
 
     @property
     def size(self) -> int:
@@ -72,10 +84,11 @@ class ExportedModel(NamedTuple):
 
 def load_exported_model(model: TrainedModel) -> ExportedModel:
     """Load the networks that a robot runs. Raises UserError."""
-    posenets = [name for name in (POSENET, POSENET_SHEARED) if name in model.networks][:1]
-    unshearing = [DISENTANGLED] if DISENTANGLED in model.networks else []
+    posenet = POSENET if POSENET in model.networks else POSENET_SHEARED
     networks = {}
-    for name in (*unshearing, *posenets):
+    for name in model.networks:
+        if name not in (DISENTANGLED, posenet):
+            continue
         network = model.load_network(name)
         networks[name] = network._replace(variables=jax.device_get(network.variables))
     if not networks:
@@ -83,11 +96,6 @@ def load_exported_model(model: TrainedModel) -> ExportedModel:
             f"{model.folder} holds no trained network that unshears or reads poses: "
             "train one, or name another"
         )
-    method = ""
-    if posenets == [POSENET_SHEARED]:
-        method = LEARNT
-    elif posenets:
-        method = UNSHEARED if unshearing else AS_RECORDED
     constants = next(iter(networks.values())).variables["batch_stats"]
     rest = np.asarray(constants["rest"], np.float32) if "rest" in constants else None
     size = model.experiment.paired.preprocess.size
@@ -97,13 +105,7 @@ def load_exported_model(model: TrainedModel) -> ExportedModel:
             f"{model.folder}: pins are {check.spacing:.1f} px apart in its images, fewer than the "
             f"{MIN_SPACING_PX:g} by which they differ from noise: train with larger images"
         )
-    return ExportedModel(
-        networks.get(DISENTANGLED),
-        networks[posenets[0]] if posenets else None,
-        method,
-        rest,
-        check,
-    )
+    return ExportedModel(networks, rest, check)
 
 
 def make_exported_function(parts: ExportedModel) -> Callable[[Array], Json]:
@@ -114,28 +116,25 @@ def make_exported_function(parts: ExportedModel) -> Callable[[Array], Json]:
     sensor. Where it is not, confidence is 0 and the others are NaN. An output that the model has no
     network for is left out.
     """
+    forward = make_full_forward(parts.networks, with_sheared_poses=False)
+    variables = {name: network.variables for name, network in parts.networks.items()}
 
     def run(inputs: Array) -> Json:
-        outputs: Json = {}
-        pose_inputs = inputs = scale_inputs(inputs)
+        inputs = scale_inputs(inputs)
         if parts.rest is None:
             channels_first = inputs.transpose(0, 3, 1, 2)
             confidence = add_image_plausibility(JaxGraph(), parts.check, channels_first)
         else:
             confidence = add_pin_plausibility(JaxGraph(), parts.check, inputs)
         sure = confidence >= MIN_PLAUSIBILITY
-        if parts.unshear_network is not None:
-            net, variables, _ = parts.unshear_network
-            unsheared = unshear(net, variables, inputs)
+        unsheared, poses = forward(variables, inputs)
+        outputs: Json = {}
+        if poses:
+            (outputs["pose"],) = poses.values()
+        if unsheared is not None:
             outputs["unsheared"] = unsheared[..., 0] if parts.rest is None else unsheared
             if parts.rest is None:
                 confidence *= jax.vmap(compute_confidence)(unsheared)
-            if parts.method == UNSHEARED:
-                pose_inputs = unsheared
-        if parts.pose_network is not None:
-            net, variables, targets = parts.pose_network
-            predictions = predict(net, variables, pose_inputs)
-            outputs["pose"] = posenet.unscale_outputs(predictions, targets)
         outputs = jax.tree.map(lambda values: _keep(sure, values, jnp.nan), outputs)
         return outputs | {"confidence": _keep(sure, confidence, 0.0), "sure": sure}
 

@@ -156,22 +156,12 @@ def _slopes_by_xla(
     return _sum_pixels(image_sum, x, source), _sum_pixels(product_sum, x, source)
 
 
-def _gradient_by_xla(  # noqa: PLR0913, the arguments of the compiled kernel
-    x: Array,
-    dy: Array,
-    factor: Array,
-    shift: Array,
-    mean: Array,
-    constant: Array,
-    tilt: Array,
-    *,
-    source: str,
-    target: str,
-) -> Array:
+def _gradient_by_xla(x: Array, dy: Array, *vectors: Array, source: str, target: str) -> Array:
     """Compute factor * (the gradient that passes) - constant - (x - mean) * tilt.
 
-    It has as many parameters as the compiled form, whose arguments are these arrays.
+    The vectors (C,) are factor, shift, mean, constant and tilt.
     """
+    factor, shift, mean, constant, tilt = vectors
     widen = partial(_widen, source=source)
     line = widen(constant) + (_flatten_pixels(x) - widen(mean)) * widen(tilt)
     passed = _mask_gradient(x, dy, factor, shift, source, target)

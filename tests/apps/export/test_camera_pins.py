@@ -83,7 +83,7 @@ def test_a_worn_dome_is_learnt_too(exported):
     camera = camera_pins.describe_camera_pins(exported.model, rest)
     worn = dataclasses.replace(camera, frame=camera.frame._replace(lost=(5,)))
     learnt = worn.learn_rest_positions(exported.frames[-2:-1])
-    assert np.isfinite(learnt.untouched).all()
+    assert np.isfinite(learnt.untouched.rest).all()
     reading = learnt.read(exported.frames[0])
     assert np.isnan(reading.pins[5]).all() and reading.touch["contact"] > 0.5
 

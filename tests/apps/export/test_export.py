@@ -97,7 +97,7 @@ def images(net=NET):
     unshears = TrainedNetwork(net, drawn(lambda key: unshearnet.init(net, key)), ())
     variables = drawn(lambda key: posenet.init(POSENET, OUTPUTS, key))
     reads = TrainedNetwork(POSENET, variables, TARGETS)
-    return ExportedModel(unshears, reads, "unsheared", None, CHECK)
+    return ExportedModel({"disentangled": unshears, "posenet": reads}, None, CHECK)
 
 
 def pins(rotated_share=0.0, conv_channels=(), read_by=()):
@@ -105,7 +105,12 @@ def pins(rotated_share=0.0, conv_channels=(), read_by=()):
     reader = PinPoseNet(**PINS, rotated_share=rotated_share, conv_channels=read_by)
     reads = TrainedNetwork(reader, drawn_of_pins(reader, OUTPUTS), TARGETS)
     unshears = TrainedNetwork(net, drawn_of_pins(net), ())
-    return ExportedModel(unshears, reads, "unsheared", REST, CHECK)
+    return ExportedModel({"disentangled": unshears, "posenet": reads}, REST, CHECK)
+
+
+def select(parts, **names):
+    """Select networks of parts by their new names."""
+    return parts._replace(networks={new: parts.networks[old] for new, old in names.items()})
 
 
 def make_runner(parts, batch=None, camera=None, reader=None):
@@ -116,9 +121,11 @@ def make_runner(parts, batch=None, camera=None, reader=None):
 CASES = {
     "images": images,
     "entangled": lambda: images(dataclasses.replace(NET, disentangled=False)),
-    "no reader": lambda: images()._replace(pose_network=None, method=""),
-    "reader alone": lambda: images()._replace(unshear_network=None, method="as_recorded"),
-    "reader of slides": lambda: images()._replace(method="learnt"),
+    "no reader": lambda: select(images(), disentangled="disentangled"),
+    "reader alone": lambda: select(images(), posenet="posenet"),
+    "reader of slides": lambda: select(
+        images(), disentangled="disentangled", posenet_sheared="posenet"
+    ),
     "pins": pins,
     "pins, turned": lambda: pins(0.5),
     "pins, convolved": lambda: pins(conv_channels=(4, 6, 5)),
@@ -141,7 +148,8 @@ def test_another_network_differs():
     parts = pins()
     other = jax.tree.map(np.copy, parts.pose_network.variables)
     other["params"]["Dense_0"]["bias"] += 0.05
-    other_parts = parts._replace(pose_network=parts.pose_network._replace(variables=other))
+    reads = parts.pose_network._replace(variables=other)
+    other_parts = parts._replace(networks=parts.networks | {"posenet": reads})
     run = make_runner(other_parts, reader=parts)
     assert measure_difference(parts, run, make_check_inputs(parts), None) > MAX_DIFFERENCE
 
@@ -218,7 +226,7 @@ def test_frames_prepared_otherwise_differ(tmp_path):
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory):
     folder, parts = tmp_path_factory.mktemp("runs") / "small", images()
-    for name, part in (("disentangled", parts.unshear_network), ("posenet", parts.pose_network)):
+    for name, part in parts.networks.items():
         write_network(folder / name, part.net, part.variables, part.targets)
         checkpoint.write_weights(folder / name, part.variables)
     write_json(folder / "experiment.json", to_json(EXPERIMENT))

@@ -22,8 +22,7 @@ from jaxunshear.data.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
 from jaxunshear.inference.forward import UNSHEARED
-from jaxunshear.inference.readers import ImageReader, Predictions
-from jaxunshear.inference.steady_view import make_steady_view
+from jaxunshear.inference.readers import ImageReader, Predictions, make_steady_view
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.sensor_check import FOREIGN_REASON, UNIDENTIFIED_REASON
