@@ -137,7 +137,8 @@ def _make_data(run: _Run) -> bool:
     sets = open_source(run.experiment).make_sets(run.data, engine)
     for name, metadata in sets.items():
         counts = metadata["counts"]
-        text = f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped"
+        written = ", ".join(f"{count} of {split}" for split, count in counts["written"].items())
+        text = f"{name}: contacts {written}; {counts['dropped']} left out"
         if iterations := counts.get("iterations"):  # recordings have none
             text += (
                 f"; slowest contact {iterations['slowest_number']}: {iterations['most']} "

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from jaxunshear.angles import wrap_degrees
 from jaxunshear.config.targets import get_unit
 from jaxunshear.data.labels import name_labels
 from jaxunshear.data.recordings import read_recordings
@@ -83,6 +84,10 @@ def predict_frames(path: Path, model: TrainedModel) -> list[ShownFrame]:
         for kind, values in predictions.poses.items() if not reason else ():
             for name, value in values.items():
                 poses.setdefault(name, {})[kind] = float(value[i])
+        for name, kinds in poses.items():
+            if get_unit(name) == "deg" and kinds.keys() >= {AS_RECORDED, UNSHEARED}:
+                turned = wrap_degrees(np.array(kinds[AS_RECORDED] - kinds[UNSHEARED]))
+                kinds[AS_RECORDED] = kinds[UNSHEARED] + float(turned)  # 182 beside 179, not -178
         # a name or two in common do not make labels those of the model's poses
         for name in poses if poses.keys() <= labels.keys() else ():
             poses[name]["label"] = float(labels[name][rows[frame.row]])
@@ -141,10 +146,10 @@ def describe_touch(reason: str, touch: Mapping[str, float]) -> str:
         return "Understood, but no contact could be measured."
     shear = np.hypot(touch["shear_x_mm"], touch["shear_y_mm"])
     return (
-        f"Contact (probability {touch['contact']:.2f}). {touch['slip']:.0%} of it slides. Friction "
-        f"has dragged the skin by {shear:.2f} mm \N{PLUS-MINUS SIGN} "
+        f"Contact (probability {touch['contact']:.2f}). {touch['slip']:.0%} of the contact "
+        f"slips. Friction has dragged the skin by {shear:.2f} mm \N{PLUS-MINUS SIGN} "
         f"{touch['shear_half_width_mm']:.2f} and turned it by {abs(touch['shear_deg']):.1f} deg "
-        f"\N{PLUS-MINUS SIGN} {touch['shear_half_width_deg']:.1f}."
+        f"\N{PLUS-MINUS SIGN} {touch['shear_half_width_deg']:.1f} (95 % intervals)."
     )
 
 

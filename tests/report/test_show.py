@@ -34,7 +34,7 @@ TOUCH = {
 @pytest.mark.parametrize(
     ("reason", "touch", "said"),
     [
-        ("", TOUCH, "50% of it slides. Friction has dragged the skin by 0.50 mm"),
+        ("", TOUCH, "50% of the contact slips. Friction has dragged the skin by 0.50 mm"),
         ("no contact", {"contact": 0.12}, "the dome touches nothing (probability of a contact 0.1"),
         ("its pins cannot be identified for sure", {}, "Not understood: its pins cannot be ident"),
         ("", {"contact": 0.4}, "no contact could be measured"),
