@@ -220,8 +220,8 @@ class SimulatedSource(DataSource):
         if self.suits_recordings:
             return (
                 f"{simulated}, varied as between sensors and cameras. "
-                "Offset and sign of each output are arbitrary: a few labelled taps calibrate them "
-                "(`jaxunshear evaluate MODEL --recordings DIR`). "
+                "Offset and sign of each output are arbitrary "
+                "(`jaxunshear evaluate MODEL --recordings DIR` estimates them for its scores). "
                 "Networks that learn from your own recordings are more exact (`jaxunshear fit`)."
             )
         return (
