@@ -1,7 +1,8 @@
 """Judge whether an image is of the sensor that a model was made for: networks answer noise, too.
 
-A sensor's appearance is five numbers, measured in the same way on its pins at rest and on an image.
-None of them changes when the sensor is turned.
+A sensor's appearance has five properties: number, spacing, radius, centre and regularity of the
+pins. They are measured in the same way on its pins at rest and on an image. None of them changes
+when the sensor is turned.
 
     expected = measure_sensor_appearance(lattice.rest, 128)
     compute_plausibility(image, expected)  # near 1 for its images, near 0 for noise, other sensors
@@ -159,8 +160,9 @@ def explain_rejection(
 ) -> str:
     """Say why an image is rejected, so that it has no pose; empty if it is not.
 
-    Every command that answers images uses this rule. `identified`: its pins were identified, or the
-    networks need no identities.
+    It is the rule of `TrainedModel`. `add_no_contact` adds the test for contact;
+    `apps/export/sensor_check.py` has the rule of exported files. `identified`: its pins were
+    identified, or the networks need no identities.
     """
     if not identified:
         return UNIDENTIFIED_REASON
