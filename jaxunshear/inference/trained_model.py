@@ -250,10 +250,7 @@ class TrainedModel:
         return poses
 
     def codes(self, images: np.ndarray) -> Codes:
-        """Compute pose code and shear code. Raises UserError if the model has no codes.
-
-        Images without contact are not left out here; see `predict(images).rejection`.
-        """
+        """Compute pose and shear code, without a test for contact. Raises UserError without codes."""
         if (run := self._encode) is None:
             raise UserError(
                 f"{self.folder} holds no network with codes: "
@@ -274,10 +271,8 @@ class TrainedModel:
     def slide(self, images: np.ndarray) -> dict[str, np.ndarray]:
         """Predict how far each contact slid and rotated, mm and deg by quantity, (B,) each.
 
-        It is in the frame of the simulated sensor that the network was trained on, or of the labels
-        of recordings. Images without contact are not left out here; see
-        `predict(images).rejection`. Raises UserError if the shear code was not trained to predict
-        slides.
+        It is in the frame of the simulated sensor of the training, or of the labels of recordings.
+        There is no test for contact. Raises UserError if the shear code does not predict slides.
         """
         targets = read_slides(self.folder / DISENTANGLED) if self._encode else ()
         shear = self.codes(images).shear if targets else None
@@ -362,8 +357,7 @@ def load_model(
     Pin networks that were trained on simulation alone, such as `skin`, need `like` to read frames
     of a camera: a folder of at least 20 contacts of your sensor and camera. Their mean gives the
     rest positions of the pins. Other networks do not use it. `force` also accepts images of another
-    sensor and of an untouched dome; pins that cannot be identified are still rejected. Raises
-    UserError.
+    sensor and of an untouched dome. Raises UserError.
     """
     keep_freed_memory()
     folder = find_model_folder(Path(name))
