@@ -250,7 +250,7 @@ class TrainedModel:
         return poses
 
     def codes(self, images: np.ndarray) -> Codes:
-        """Compute pose and shear code, without a test for contact. Raises UserError without codes."""
+        """Compute both codes, without a test for contact. Raises UserError if there are none."""
         if (run := self._encode) is None:
             raise UserError(
                 f"{self.folder} holds no network with codes: "
