@@ -62,11 +62,15 @@ UNTOUCHED = path(
     "frames of the untouched dome, in a folder or a video: contact and shear are measured "
     "from them (default: from the mean over contacts)",
 )
+FORCED = (
+    "answer images of another sensor, of an untouched dome and of a frozen camera, too; "
+    "pins that cannot be identified are still rejected"
+)
 CAMERA_MODEL = (  # trained for recordings, and what it needs to read them
     _name_model("skin"),
     LIKE,
     UNTOUCHED,
-    *mark_rare(WITHOUT, flag("--force", "also use images that are not of the model's sensor")),
+    *mark_rare(WITHOUT, flag("--force", FORCED)),
 )
 STIMULUS = option(
     "--stimulus", "NAME,FILE", "objects by name, or outlines in files (default: all)", default="all"

@@ -175,7 +175,8 @@ REGISTRY = {
 TRAINABLE = REGISTRY.keys()  # with those that are registered later
 NETWORKS: tuple[str, ...] = (ENTANGLED, DISENTANGLED, POSENET)  # the paper's
 ALL_NETWORKS: tuple[str, ...] = (*NETWORKS, ENTANGLED_LARGE, UNET, POSENET_SHEARED)  # with rivals
-# with those that are registered later; the main network of a run is the last of these that it has
+# with those that are registered later; reports take the last of these that a run has;
+# `TrainedModel` takes `disentangled` alone
 UNSHEARING = [ENTANGLED, ENTANGLED_LARGE, UNET, DISENTANGLED]
 POSENETS = tuple(name for name, spec in REGISTRY.items() if spec.role == "reads poses")
 

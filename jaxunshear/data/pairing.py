@@ -38,7 +38,10 @@ def take_rows(rows: Batch, selected: np.ndarray | np.bool | slice) -> Batch:
 
 
 def make_pose_ids_unique(rows: Batch) -> Batch:
-    """Give each contact a pose number of its own: none is paired with another's partner."""
+    """Give each contact its own `pose_id`.
+
+    So `Reader.train_batches`, which draws a tap of the same `pose_id`, keeps this pairing.
+    """
     return rows | {"pose_id": rows["number"]}
 
 

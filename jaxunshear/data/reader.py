@@ -73,7 +73,8 @@ class Reader:
 
         Every epoch is shuffled anew. `shift` is the largest random shift along each axis as a
         fraction of the image size, rounded to integer pixels; both images of a pair shift alike and
-        their pins with them. A sheared image is paired with a random tap of its pose.
+        their pins with them. A sheared image is paired with a random tap of its `pose_id`; alone in
+        it, with its own.
         """
         rows = self.rows("train")
         groups, count = group_by_pose(rows["stimulus"], rows["pose_id"]), self.length("train")

@@ -172,7 +172,8 @@ class RecordedSet:
                 taps, warp = self.read_labelled_taps("train"), self._make_image_warper()
                 return pairing.pair_with_renderings(slides, targets, render, taps, warp)
             taps = self.read_labelled_taps("train")
-            # a tap of another held-out split would let that split choose the checkpoint
+            # Held-out slides may take taps of training or of their own split. A test tap among
+            # validation partners would let the test choose the checkpoint.
             if split != "train":
                 taps = concatenate_batches([taps, self.read_labelled_taps(split)])
             pairs = pairing.pair_with_taps(slides, taps, targets, method)

@@ -75,8 +75,8 @@ class Predictions(NamedTuple):
     pins: dict[str, np.ndarray]  # by kind, (B, P, 2) px, of pin networks alone
     rejection: np.ndarray  # (B,) of text: why an image is rejected; empty if it is not
     # (B,) in [0, 1]: how likely the image is one of the model's sensor, times how near the spacing
-    # of its pins is to the model's, times `compute_confidence` of the unsheared image; 0 if it is
-    # rejected
+    # of its pins is to the model's, times `compute_confidence` of the unsheared image, which is 1
+    # over pins; 0 if it is rejected
     confidence: np.ndarray
     measure_touch: Callable[[], Touch]  # once; of networks over images it tracks the pins
 
@@ -199,7 +199,7 @@ class TouchReader(NamedTuple):
         return measure_touch(self.gauge, self.track(images) if pins is None else pins)
 
     def measure_rows(self, images: np.ndarray, rows: np.ndarray, touch: Touch) -> Touch:
-        """Return `touch` of B images with `rows`, (B,) bool, measured: those of `images`."""
+        """Fill the rows (B,) bool of `touch` with measurements of `images`, one image per row."""
         values = np.array(touch)
         if rows.any():
             values[:, rows] = self.measure(images, None)
@@ -208,7 +208,10 @@ class TouchReader(NamedTuple):
     def measure_some(
         self, images: np.ndarray, pins: np.ndarray | None, judged: "Judgement", force: bool
     ) -> tuple[Touch, np.ndarray]:
-        """Measure where pins are known, or `add_no_contact` may refuse; return where, (B,)."""
+        """Measure all images if pins are known; else only those that may show no contact.
+
+        Also return which of the B images were measured, (B,) bool.
+        """
         if pins is not None:
             return self.measure(images, pins), np.ones(len(images), bool)
         reasons = zip(judged.rejection.tolist(), judged.pins, strict=True)
@@ -297,8 +300,9 @@ def judge_batch(
 ) -> Judgement:
     """Judge whether images are of the expected sensor, with their pins `identified` (B,).
 
-    Every command that answers images uses this rule. With `force` any sensor will do. Networks that
-    need no identities take all pins as identified.
+    It is the rule of `TrainedModel`. `add_no_contact` adds the test for contact;
+    `apps/export/sensor_check.py` has the rule of exported files. With `force` any sensor will do.
+    Networks that need no identities take all pins as identified.
     """
     judged = [judge_image(image, expected) for image in images]
     plausibility, familiarity, pins = zip(*judged, strict=True)

@@ -72,17 +72,17 @@ PREFERRED_POSENETS = (POSENET, POSENET_SHEARED)
 class TrainedModel:
     """Networks for binary images (B, S, S), uint8 of {0, 255} or bool, from `prepare`.
 
-    Results are NaN for images that are rejected: their pins do not match the model's sensor
-    or, for pin networks, cannot be identified. Networks are loaded when they are first used, and
-    kept: load the model again after a training. Raises UserError if one is missing, damaged or not
-    finished.
+    Results are NaN for images that are rejected: their pins do not match the model's sensor or, for
+    pin networks, cannot be identified, or they show no contact. Networks are loaded when they are
+    first used, and kept: load the model again after a training. Raises UserError if one is missing,
+    damaged or not finished.
     """
 
     folder: Path
     experiment: Experiment
     # common to the frames to be read: of the training recordings, or of a folder that is like them
     frame: SensorFrame | None = None
-    force: bool = False  # use images that are not of the model's sensor
+    force: bool = False  # use images of another sensor, and of an untouched dome
     with_sheared_poses: bool = True  # `predict` poses of the images as they are, too
     _loaded: dict[str, TrainedNetwork] = field(default_factory=dict, init=False)
 
@@ -227,8 +227,8 @@ class TrainedModel:
         unsheared = self.predict(images).unsheared
         if unsheared is None:
             raise UserError(
-                f"{self.folder} holds no network that unshears: "
-                f"train {DISENTANGLED}, or load another model"
+                f"{self.folder} has no network named {DISENTANGLED}, which unshears: "
+                "train it, or load another model"
             )
         return unsheared
 
@@ -244,7 +244,7 @@ class TrainedModel:
         return poses
 
     def codes(self, images: np.ndarray) -> Codes:
-        """Compute pose code and shear code. Raises UserError if the model has no codes."""
+        """Compute both codes, without a test for contact. Raises UserError if there are none."""
         if (run := self._encode) is None:
             raise UserError(
                 f"{self.folder} holds no network with codes: "
@@ -265,8 +265,8 @@ class TrainedModel:
     def slide(self, images: np.ndarray) -> dict[str, np.ndarray]:
         """Predict how far each contact slid and rotated, mm and deg by quantity, (B,) each.
 
-        It is in the frame of the simulated sensor that the network was trained on, or of the labels
-        of recordings. Raises UserError if the shear code was not trained to predict slides.
+        It is in the frame of the simulated sensor of the training, or of the labels of recordings.
+        There is no test for contact. Raises UserError if the shear code does not predict slides.
         """
         targets = read_slides(self.folder / DISENTANGLED) if self._encode else ()
         shear = self.codes(images).shear if targets else None
@@ -313,8 +313,8 @@ class TrainedModel:
             accepted = (reasons == "").reshape(-1, *[1] * (value.ndim - 1))
             return np.where(accepted, value, np.nan)
 
-        likeness = judged.plausibility * judged.familiarity
-        confidence = likeness * compute_confidences(outputs.unsheared) * (reasons == "")
+        resemblance = judged.plausibility * judged.familiarity
+        confidence = resemblance * compute_confidences(outputs.unsheared) * (reasons == "")
         unsheared, poses, pins = jax.tree.map(keep_accepted_rows, outputs)
         return PredictedBatch(unsheared, poses, pins, reasons, confidence, touch, measured)
 
@@ -350,8 +350,8 @@ def load_model(
 
     Pin networks that were trained on simulation alone, such as `skin`, need `like` to read frames
     of a camera: a folder of at least 20 contacts of your sensor and camera. Their mean gives the
-    rest positions of the pins. Other networks do not use it. `force` also accepts images that are
-    not of the model's sensor. Raises UserError.
+    rest positions of the pins. Other networks do not use it. `force` also accepts images of another
+    sensor and of an untouched dome. Raises UserError.
     """
     keep_freed_memory()
     folder = find_model_folder(Path(name))

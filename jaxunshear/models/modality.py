@@ -30,8 +30,8 @@ class Modality:
     single: str  # field of contacts one by one: what a PoseNet takes
     canonical: str  # field of pairs: the taps
     sheared: str  # the slides
-    other: str  # other poses after other slides
-    swapped: str  # the slides' own poses after these other slides
+    other: str  # a contact at pose j after slide l
+    swapped: str  # a contact at pose i after slide l; `sheared` is pose i after slide k
     unit: str  # of errors of reconstructions
     needs_identified_pins: bool  # contacts without them cannot be given to these networks
     scale: Callable[[AnyArray], AnyArray]  # what a data set stores -> what a network takes

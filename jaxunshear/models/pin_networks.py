@@ -236,20 +236,20 @@ def reconstruct(
         same_pose: pins of taps at the same poses, or of contacts there after other slides.
         same_slide: pins of contacts at other poses after these other slides.
     """
-    partners = [each for each in (same_slide, same_pose) if each is not None]
-    inputs = jnp.concatenate([pins, *partners])
+    second_contacts = [each for each in (same_slide, same_pose) if each is not None]
+    inputs = jnp.concatenate([pins, *second_contacts])
     inputs = inputs if key is None else add_noise(net, inputs, key)
     # one by one: with separate trunks the pose code of `same_slide` is unused, and XLA drops it
     codes: list[Any] = [
-        encode(net, variables, part) for part in jnp.split(inputs, 1 + len(partners))
+        encode(net, variables, part) for part in jnp.split(inputs, 1 + len(second_contacts))
     ]
     z_p, z_s = codes[0]
     canonical = decode_canonical(net, variables, z_p)
     disagreement = same_pose_canonical = None
     if same_pose is not None:
-        partner_z_p, _ = codes[-1]
-        disagreement = measure_disagreement(z_p, partner_z_p)
-        same_pose_canonical = decode_canonical(net, variables, partner_z_p)
+        second_z_p, _ = codes[-1]
+        disagreement = measure_disagreement(z_p, second_z_p)
+        same_pose_canonical = decode_canonical(net, variables, second_z_p)
     if z_s is None:
         outputs = Reconstruction(
             canonical, z_p, disagreement=disagreement, same_pose=same_pose_canonical

@@ -19,7 +19,7 @@ class Reconstruction(NamedTuple):
     counterfactual: Array | None = None  # DS of the slide's pose code and the other's shear code
     disagreement: Array | None = None  # (B,) see `measure_disagreement`
     z_s: Array | None = None  # (B, ...)
-    same_pose: Array | None = None  # DC of the pose code of a partner at the same pose
+    same_pose: Array | None = None  # DC of the pose code of a second contact at the pose
 
 
 def measure_disagreement(

@@ -120,17 +120,17 @@ class Network(nn.Module):
             z_p, z_s = self.encode(images, True)
             sheared = None if z_s is None else self.decode_sheared(z_p, z_s, True)
             return Reconstruction(self.DC(z_p, True), z_p, sheared, z_s=z_s)
-        z_p, partner_z_p = _run_both(images, same_pose, lambda x: self.encode_pose(x, True))
-        z_s, partner_z_s = _run_both(images, same_slide, lambda x: self.encode_slide(x, True))
+        z_p, second_z_p = _run_both(images, same_pose, lambda x: self.encode_pose(x, True))
+        z_s, second_z_s = _run_both(images, same_slide, lambda x: self.encode_slide(x, True))
         fixed_z_p = jax.lax.stop_gradient(z_p)  # DS does not teach the codes
 
         def decode_slides(z: Array) -> Array:
             repeated = jnp.concatenate([fixed_z_p] * (z.shape[0] // fixed_z_p.shape[0]))
             return self.decode_sheared(repeated, jax.lax.stop_gradient(z), True)
 
-        sheared, counterfactual = _run_both(z_s, partner_z_s, decode_slides)
-        canonical, same_pose_canonical = _run_both(z_p, partner_z_p, lambda z: self.DC(z, True))
-        disagreement = None if partner_z_p is None else measure_disagreement(z_p, partner_z_p)
+        sheared, counterfactual = _run_both(z_s, second_z_s, decode_slides)
+        canonical, same_pose_canonical = _run_both(z_p, second_z_p, lambda z: self.DC(z, True))
+        disagreement = None if second_z_p is None else measure_disagreement(z_p, second_z_p)
         return Reconstruction(
             canonical, z_p, sheared, counterfactual, disagreement, z_s, same_pose_canonical
         )
@@ -222,10 +222,10 @@ def reconstruct(
 ) -> tuple[Reconstruction, Variables]:
     """Run both decoders over sheared images; return the running statistics, updated in training.
 
-    Codes of `separate_encoders`, which DS does not teach, take partners.
+    Codes of `separate_encoders`, which DS does not teach, take second contacts.
 
     Args:
-        key: any key in training; else None, and partners are not used.
+        key: any key in training; else None, and second contacts are not used.
         same_pose: taps at the same poses, or contacts there after other slides: their pose codes
             should agree.
         same_slide: contacts at other poses after these other slides: DS also decodes their shear

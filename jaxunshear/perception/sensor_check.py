@@ -1,7 +1,8 @@
 """Judge whether an image is of the sensor that a model was made for: networks answer noise, too.
 
-A sensor's appearance is five numbers, measured in the same way on its pins at rest and on an image.
-None of them changes when the sensor is turned.
+A sensor's appearance has five properties: number, spacing, radius, centre and regularity of the
+pins. They are measured in the same way on its pins at rest and on an image. None of them changes
+when the sensor is turned.
 
     expected = measure_sensor_appearance(lattice.rest, 128)
     judge_image(image, expected).plausibility  # near 1 for its images, near 0 for others

@@ -72,7 +72,10 @@ class MotionField(NamedTuple):
 
 
 class TouchFeatures(NamedTuple):
-    """What B fields share with their turned copies, by group of rings."""
+    """Features of B fields, by group of rings.
+
+    All but `vectors` do not depend on how the sensor is turned.
+    """
 
     sizes: np.ndarray  # (B, 1 + Z) logarithms of the noise's and the motion's
     slide: np.ndarray  # (B, S) around the middle of the contact, along its drag
@@ -311,7 +314,8 @@ def measure_touch(gauge: TouchGauge, pins: Float[np.ndarray, "B P 2"]) -> Touch:
 def may_touch_nothing(gauge: TouchGauge, detected: Float[np.ndarray, "N 2"]) -> bool:
     """Say whether pins px whose identities are not known may be of a dome that touches nothing.
 
-    Of such a dome each pin is the one next to its place. If these show a contact, there is one.
+    On an untouched dome each detected dot is the pin of the nearest rest position. If motions by
+    this assignment show a contact, the dome is touched.
     """
     if not len(detected):
         return True
@@ -320,12 +324,12 @@ def may_touch_nothing(gauge: TouchGauge, detected: Float[np.ndarray, "N 2"]) -> 
     nearest = tree.query(lattice.rest[rim])[1]
     shift = np.median(detected[nearest] - lattice.rest[rim], axis=0)
     distance, nearest = tree.query(lattice.rest + shift)
-    if np.mean(distance[rim] < limit) < MIN_RIM_SHARE:  # half a spacing has no nearest
+    if np.mean(distance[rim] < limit) < MIN_RIM_SHARE:  # pins half a spacing off cannot be assigned
         return True
     pins = np.where(distance[:, None] < limit, detected[nearest], np.nan)
     return bool(measure_touch(gauge, pins[None]).contact[0] < CERTAIN_CONTACT)
 
 
 def find_no_contact(touch: Touch) -> Bool[np.ndarray, "B"]:
-    """Find the images of a dome that touches nothing; one that is not followed is none of them."""
+    """Find the images of a dome that touches nothing; NaN is not counted as no contact."""
     return touch.contact < MIN_CONTACT

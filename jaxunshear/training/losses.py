@@ -1,6 +1,6 @@
-"""The losses, each a function of what a network was given and made of it to numbers (B,).
+"""The losses. Each takes a batch and the network's outputs, and returns one number per example.
 
-Those of networks that unshear take `PairInputs`, those of PoseNets and of the renderer
+Losses of networks that unshear take `PairInputs`, losses of PoseNets and of the renderer
 `PoseInputs`. `config/losses.py` lists them by the names that trainings use, with what each needs.
 """
 
@@ -49,7 +49,11 @@ class PairInputs(NamedTuple):
 
 
 def compute_supervised_term(inputs: PairInputs) -> Array:
-    """Compute L_sup, averaged with that of a partner at the same pose where codes should agree."""
+    """Compute L_sup.
+
+    With the loss `code_agreement` it is the mean over the slide and a second contact at the same
+    pose.
+    """
     outputs, tap = inputs.outputs, inputs.modality.canonical
     distance = inputs.measure_distance(outputs.canonical, tap)
     if outputs.same_pose is None:

@@ -71,10 +71,10 @@ def make_unshear_task(
 ) -> Task:
     """Make the task of a network that unshears.
 
-    Codes that can be exchanged take partners where poses share slides, the fields `other` and
-    `swapped` of the modality (`FactorialReader`); elsewhere the pose code of a slide is to agree
-    with its tap's. The loss "tap_identity" needs {"tap_pins"} (T, P, 2) px, "consistency"
-    {"one_pins", "another_pins"} (A, P, 2) px.
+    If poses share slides (`FactorialReader`), the losses on codes take the fields `other` and
+    `swapped` of the modality. Otherwise `code_agreement` compares a slide with its tap. The loss
+    "tap_identity" needs {"tap_pins"} (T, P, 2) px, "consistency" {"one_pins", "another_pins"}
+    (A, P, 2) px.
 
     Raises UserError where the network cannot be built, a loss lacks its teacher, or a crop does not
     fit.
@@ -104,7 +104,11 @@ def make_unshear_task(
 def _choose_swap_partners(
     functions: NetworkFunctions, net: Net, training: Training, batch: Batch
 ) -> tuple[Array | None, Array | None]:
-    """Choose inputs at the same poses and after the same slides, if codes are exchanged."""
+    """Choose second contacts at the same pose and after the same slide.
+
+    The first are for the loss `code_agreement`, the others for `counterfactual`; without its loss
+    each is None.
+    """
     if not functions.count_slide_numbers(net):
         return None, None
     same_pose = same_slide = None

@@ -174,8 +174,10 @@ class CameraImages:
         judged = judge_batch(images, np.ones(1, bool), self.appearance, force=False)
         pins = self.reader.track(images)
         touch = self.reader.measure(images, pins)
-        is_touched = not may_touch_nothing(self.reader.gauge, judged.pins[0])
-        reason = str(add_no_contact(judged.rejection, touch, force=is_touched)[0])
+        reasons = judged.rejection
+        if may_touch_nothing(self.reader.gauge, judged.pins[0]):
+            reasons = add_no_contact(reasons, touch, force=False)
+        reason = str(reasons[0])
         inputs, familiarity = images * (not reason), float(judged.familiarity[0])
         return CameraReading(inputs, pins[0], touch.describe(0), reason, familiarity)
 

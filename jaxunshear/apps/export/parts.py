@@ -112,9 +112,10 @@ def make_exported_function(parts: ExportedModel) -> Callable[[Array], Json]:
     """Make a function of images (B, S, S) uint8 of {0, 255}, or of pins (B, P, 2) px.
 
     It returns "unsheared" in the shape of its input (images in [0, 1]), "pose", mm and deg by name,
-    (B,) each, "confidence" (B,), see `stream`, and "sure" (B,): whether the input is of the model's
-    sensor. Where it is not, confidence is 0 and the others are NaN. An output that the model has no
-    network for is left out.
+    (B,) each, "confidence" (B,), plausibility by `apps/export/sensor_check.py`, over images times
+    `compute_confidence`, and "sure" (B,): whether the input is of the model's sensor. Where it is
+    not, confidence is 0 and the others are NaN. An output that the model has no network for is left
+    out.
     """
     forward = make_full_forward(parts.networks, with_sheared_poses=False)
     variables = {name: network.variables for name, network in parts.networks.items()}
