@@ -97,6 +97,10 @@ def check_checkpoints(source):
         )
 
 
+def load_best(source):
+    return read_json(source / "checkpoint.json")
+
+
 def fail(learning_rate, place):
     if learning_rate == 1 / 2:
         raise UserError(f"training {place} stopped: supervised not finite at step 5")
@@ -162,14 +166,14 @@ def main():
         print(json.dumps(to_builtins(summary)))
         return 0
     for name, functions in {
-        "code_swaps": [ablate],
-        "leakage": [measure_leakage, build_sweep_rows],
+        "evaluation.code_swaps": [ablate],
+        "evaluation.leakage": [measure_leakage, build_sweep_rows],
+        "training.checkpoint": [check_checkpoints, load_best],
     }.items():
-        module = sys.modules[f"jaxunshear.evaluation.{name}"] = type(sys)(name)
+        module = sys.modules[f"jaxunshear.{name}"] = type(sys)(name)
         vars(module).update({function.__name__: function for function in functions})
     worker.keep_freed_memory = lambda: None  # would import JAX
     worker.run_stages = run_stages
-    worker._check_checkpoints = check_checkpoints
     worker._make_data = lambda order, folder: Outcome(status="done", reason=None)
     return worker.main(Path(sys.argv[1]), int(sys.argv[2]))
 
