@@ -1,6 +1,6 @@
 """Tables of networks on recordings of a real sensor."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from docs.reading import (
     format_figures,
@@ -15,6 +15,7 @@ from docs.reading import (
     load_runs,
     start_table,
 )
+from jaxunshear.files import Json
 from jaxunshear.results.sweep import CellResult
 
 TARGETS = {"y_mm": 2, "Rz_deg": 1}
@@ -109,22 +110,27 @@ def tabulate_other_recordings() -> str:
 
 
 def tabulate_tasks() -> str:
-    """Tabulate errors on each task of a run about several, by network."""
-    tests = load_result("two_tasks")["tests"]
-    heads, digits = [], {}
-    for test, table in tests.items():
+    """Tabulate errors on each task of runs about several, by network: mean and range of seeds."""
+    runs = _load_tasks()
+    heads, columns = [], []
+    for test, table in runs[0].items():
         for target in table["pose_mae"]["unsheared"]:
             heads.append(f"{TASK_TITLES[test]}: {_name_target(target)}")
-            digits[test, target] = 3 if target.endswith("_mm") else 2
+            columns.append((test, target))
     lines = start_table(format_line("a PoseNet of the task reads", heads))
     for label, kind in TASK_ROWS.items():
-        cells = []
-        for (test, target), count in digits.items():
-            value = tests[test]["pose_mae"][kind][target]
-            low, high = tests[test]["spread"]["pose_mae"][kind][target]
-            cells.append(f"{value:.{count}f} [{low:.{count}f}, {high:.{count}f}]")
-        lines.append(format_line(label, cells))
+        lines.append(format_line(label, [_format_task(runs, *each, kind) for each in columns]))
     return "\n".join(lines)
+
+
+def _load_tasks() -> list[Json]:
+    """Return the tests by task of each seed."""
+    return [run["tests"] for run in load_result("two_tasks")["runs"].values()]
+
+
+def _format_task(runs: Sequence[Json], test: str, target: str, kind: str) -> str:
+    values = [run[test]["pose_mae"][kind][target] for run in runs]
+    return format_range(values, 3 if target.endswith("_mm") else 2)
 
 
 def tabulate_edge_benchmark() -> str:
@@ -140,15 +146,11 @@ def tabulate_edge_benchmark() -> str:
 
 def tabulate_surface_benchmark() -> str:
     """Tabulate this package's errors on the test slides of the frozen split surface_3d."""
-    test = load_result("two_tasks")["tests"]["surface_3d"]
-    targets = list(test["pose_mae"]["own"])
+    runs = _load_tasks()
+    targets = list(runs[0]["surface_3d"]["pose_mae"]["own"])
     lines = start_table(format_line("surface_3d", map(_name_target, targets)))
     for label, kind in SURFACE_ROWS.items():
-        cells = []
-        for target in targets:
-            value = test["pose_mae"][kind][target]
-            low, high = test["spread"]["pose_mae"][kind][target]
-            cells.append(f"{value:.3f} [{low:.3f}, {high:.3f}]")
+        cells = [_format_task(runs, "surface_3d", target, kind) for target in targets]
         lines.append(format_line(f"pins: {label}", cells))
     return "\n".join(lines)
 
