@@ -1,8 +1,8 @@
 """Measures how long each stage of `make demo` takes, installs apart.
 
-The run is that of a fresh clone: no data set, no mesh of the dome and no compiled program is there.
-`products` are the seconds over those of a 2048 x 2048 float32 matrix product, timed before and
-after the run.
+The run begins as on a fresh clone: without data set, mesh of the dome and compiled program. The
+column `products` is the time divided by the time of a 2048 x 2048 float32 matrix product, which is
+measured before and after the run.
 """
 
 import os

@@ -45,7 +45,7 @@ MOST_MOVE_MM, MOST_TWIST_DEG = 5.0, 20.0
 FRICTION = (0.2, 0.7)
 NUISANCE = Nuisance(drift_px=2.0, drift_brightness=0.15)
 TEST_SEED = 1_000_000  # added to that of contacts that weights are learnt from
-SHORT_SEED = 2_000_000  # added to that of shorter slides, from which only slip is learnt
+SHORT_SEED = 2_000_000  # added for shorter slides, from which only slip is learnt
 SHORT_SLIDES = {"skin": 300, "tiny": 600, "demo": 300}  # most of the sensor that is the default
 RECORDED_IMAGES, RECORDED_LENGTHS_MM = 500, (0, 1, 2, 3, 4, 8)
 COLUMNS = (

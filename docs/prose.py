@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MOST_WORDS = 25  # in a sentence; what is in brackets is not counted
 # quotes and dots are typed as code has them; names of days and of folders are alike
 LEFT_OUT = ("typography", "misc.capitalization")
-BEGINNINGS = ("What", "That of", "Those of", "Of")
+BEGINNING = re.compile(r"(What|Of|Th(at|ose) of) ")  # of a sentence, to be written otherwise
 HIDDEN = r"```.*?```|<sub>.*?</sub>|<!--.*?-->"  # no prose
 SENTENCE_END = re.compile(r"(?<=[.?!;])[*)\"]*\s+(?=[\w\"(*`])")
 
@@ -65,7 +65,7 @@ def find_problems(text: str) -> Iterator[str]:
             words = re.findall(r"[\w%'-]+", re.sub(r"\([^()]*\)", "", sentence))
             if len(words) > MOST_WORDS:
                 yield f"{len(words)} words, use at most {MOST_WORDS}: {sentence}"
-            if sentence.startswith(tuple(f"{each} " for each in BEGINNINGS)):
+            if BEGINNING.match(sentence):
                 yield f"begins with {words[0]}: {sentence}"
 
 

@@ -26,7 +26,7 @@ REGISTERED: dict[tuple[str, str], str] = {}
 def claim_name(kind: str, name: str, names: Container[str], file: str) -> None:
     """Claim a name for what an experiment file registers; a file may be read twice.
 
-    Raises UserError if the name is among those of the package or of another file.
+    Raises UserError if the package or another file has the name.
     """
     if REGISTERED.get((kind, name), "" if name in names else file) != file:
         raise UserError(f"{kind} '{name}' is there already: choose another name")

@@ -1,6 +1,6 @@
 """Frozen splits: which contacts of public recordings are for training, validation and test.
 
->>> split = apply_frozen_split("edge_2d", labels)  # (N,) indices into SPLITS
+>>> check_frozen_split("edge_2d", labels, split)  # raises UserError if they differ
 
 `frozen_splits.toml` has, for the taps and for the slides of each set, checksums of the labels, of
 the images and of the rows of each split. Recordings with other labels are refused, so scores on one
@@ -16,8 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.splits import SPLITS, hash_text
-from jaxunshear.data.recorded_splits import TEST, TRAIN, VALIDATION, format_pose
+from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
@@ -27,7 +26,6 @@ from jaxunshear.progress import Progress
 FILE = Path(__file__).with_name("frozen_splits.toml")
 DIGITS = 16  # of a checksum
 WHITE = 0.5  # of a grey image; brighter pixels are white
-KEPT_OUT = 0.1  # share of the poses for test, and for validation
 
 
 class ContactLabels(NamedTuple):
@@ -44,10 +42,10 @@ def read_frozen_splits() -> Json:
     return tomllib.loads(FILE.read_text())
 
 
-def apply_frozen_split(name: str, labels: ContactLabels) -> np.ndarray:
-    """Return the splits of contacts, (N,) indices into SPLITS, as the frozen split has them.
+def check_frozen_split(name: str, labels: ContactLabels, split: np.ndarray) -> None:
+    """Check that contacts, and their splits (N,) as indices into SPLITS, are as published.
 
-    Raises UserError if the contacts are not those of the set.
+    Raises UserError if the contacts differ from the set.
     """
     frozen, kind = read_frozen_splits()[name][labels.kind], labels.kind
     if len(labels.names) != frozen["contacts"]:
@@ -60,31 +58,8 @@ def apply_frozen_split(name: str, labels: ContactLabels) -> np.ndarray:
             f"split = {name}: must be used on {kind}s with the names, poses and moves of the "
             "public set, and these differ; download the set again"
         )
-    split = draw_rows(labels)
     if compute_row_checksum(labels, split) != frozen["rows"]:
         raise RuntimeError(f"the frozen split {name} is drawn in another way than it was")
-    return split
-
-
-def describe_frozen_split(labels: ContactLabels, files: Sequence[Path]) -> Json:
-    """Describe the split of contacts, as `frozen_splits.toml` has it for a kind of contacts."""
-    split = draw_rows(labels)
-    counts = {name: int(np.sum(split == index)) for index, name in enumerate(SPLITS)}
-    return {
-        "contacts": len(labels.names),
-        **counts,
-        "labels": compute_label_checksum(labels),
-        "images": compute_image_checksum(labels, files),
-        "rows": compute_row_checksum(labels, split),
-    }
-
-
-def draw_rows(labels: ContactLabels) -> np.ndarray:
-    """Draw the splits of contacts by their poses, as the split "random" of seed 0 does."""
-    poses = labels.pose.astype(np.float32).astype(np.float64)
-    keys = np.array([hash_text(f"0 {format_pose(pose)}") / 2**64 for pose in poses])
-    held_out = np.where(keys < KEPT_OUT, TEST, VALIDATION)
-    return np.where(keys < 2 * KEPT_OUT, held_out, TRAIN)
 
 
 def compute_label_checksum(labels: ContactLabels) -> str:

@@ -25,14 +25,14 @@ class CheckedKind(NamedTuple):
 
 
 class CheckedSet(NamedTuple):
-    """A download whose labels are those of the public set."""
+    """A download that has the labels of the public set."""
 
     rows: list[Json]  # kind, name and split of each contact
     kinds: Mapping[str, CheckedKind]  # by "tap" and "slide"
 
 
 def check_public_set(name: SplitMethod, folder: Path) -> CheckedSet:
-    """Compare the labels and the images of a download with those of the public set `name`.
+    """Compare the labels and the images of a download with the public set `name`.
 
     Raises UserError if the labels differ, or an image cannot be read.
     """

@@ -17,7 +17,7 @@ import numpy as np
 from jaxunshear.config.data import FROZEN_SPLITS, Recorded
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.splits import SPLITS, hash_text
-from jaxunshear.data.frozen_splits import ContactLabels, apply_frozen_split
+from jaxunshear.data.frozen_splits import ContactLabels, check_frozen_split
 from jaxunshear.data.labels import (
     compute_span,
     join_columns,
@@ -26,8 +26,10 @@ from jaxunshear.data.labels import (
     read_pair_table,
 )
 from jaxunshear.data.recorded_splits import (
+    TEST,
+    TRAIN,
+    VALIDATION,
     cut_block,
-    format_pose,
     read_folder_split,
     split_by_folders,
 )
@@ -79,7 +81,7 @@ def read_contacts(settings: Recorded) -> RecordedContacts:
     Raises UserError if there are none, labels do not distinguish taps from slides, or a split is
     empty.
     """
-    contacts = _split(read_test_contacts(settings), settings)
+    contacts = split_contacts(read_test_contacts(settings), settings)
     for is_slide, kind in KINDS.items():
         split = contacts.split[contacts.is_slide == is_slide]
         for index, name in enumerate(SPLITS):
@@ -174,13 +176,13 @@ def _make_contacts(recordings: Recordings, is_slide: bool = False) -> RecordedCo
     )
 
 
-def _split(contacts: RecordedContacts, settings: Recorded) -> RecordedContacts:
+def split_contacts(contacts: RecordedContacts, settings: Recorded) -> RecordedContacts:
     """Split by a block of poses, or by folders' names and, where these leave it open, by the pose.
 
     Taps and slides are split alike. A frozen split is of its own rows, whatever folders are called.
     """
     if settings.split in FROZEN_SPLITS:
-        return _split_as_frozen(contacts, settings.split)
+        return _split_as_frozen(contacts, settings)
     folder_split = np.array([*map(read_folder_split, contacts.files, contacts.names)])
     if settings.split == "block":
         return _split_by_block(contacts, folder_split, settings)
@@ -195,12 +197,16 @@ def _split(contacts: RecordedContacts, settings: Recorded) -> RecordedContacts:
     return contacts._replace(split=split)
 
 
-def _split_as_frozen(contacts: RecordedContacts, name: str) -> RecordedContacts:
-    split = np.zeros(len(contacts.names), int)
+def _split_as_frozen(contacts: RecordedContacts, settings: Recorded) -> RecordedContacts:
+    """Split by the poses as float32, as "random" does, and check the rows."""
+    pose = contacts.pose.astype(np.float32).astype(np.float64)
+    keys = _draw_split_keys(contacts._replace(pose=pose), settings.seed)
+    kept_out = np.where(keys < settings.test, TEST, VALIDATION)
+    split = np.where(keys < settings.test + settings.validation, kept_out, TRAIN)
     for is_slide in KINDS:
-        rows = np.flatnonzero(contacts.is_slide == is_slide)
-        if len(rows):
-            split[rows] = apply_frozen_split(name, select_labels(contacts, is_slide))
+        rows = contacts.is_slide == is_slide
+        if rows.any():
+            check_frozen_split(settings.split, select_labels(contacts, is_slide), split[rows])
     return contacts._replace(split=split)
 
 
@@ -237,12 +243,13 @@ def _draw_split_keys(contacts: RecordedContacts, seed: int) -> np.ndarray:
     Without a pose they depend on the file's name.
     """
     keys = np.empty(len(contacts.names))
+    poses = np.round(contacts.pose, 4)
     for row, name in enumerate(contacts.names):
-        number, pose = contacts.pose_id[row], contacts.pose[row]
+        number, pose = contacts.pose_id[row], poses[row]
         if contacts.paired_by_table and number >= 0:
             text = f"pair {number}"
         elif np.isfinite(pose).all():
-            text = format_pose(pose)
+            text = ",".join(f"{value:.4f}" for value in pose + 0.0)  # -0 becomes 0
         else:
             text = name
         keys[row] = hash_text(f"{seed} {text}") / 2**64

@@ -30,11 +30,6 @@ SPLIT_NAMES = {
 }
 
 
-def format_pose(pose: np.ndarray) -> str:
-    """Format a pose (6,), mm and deg, as the text that its split depends on."""
-    return ",".join(f"{value:.{DIGITS}f}" for value in np.round(pose, DIGITS) + 0.0)  # no -0
-
-
 def read_folder_split(file: Path, name: str) -> str:
     """Read the split that a contact's folders name (`csv_train`, `val`, `test_2`), or "".
 

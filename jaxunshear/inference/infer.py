@@ -269,7 +269,7 @@ class _FolderRun:
         return cells | {"left_out": result.reason}
 
     def report(self, command: str, rows: list[Measurement], log: Log) -> Measured:
-        """Log counts, errors and notes; return the rows with those of counts and errors."""
+        """Log counts, errors and notes; return the rows, with rows of counts and errors."""
         for reason, count in self._reasons.items():
             log(f"left out {count}: {reason}")
         counts = {"images": self.used_count, "left_out": self.left_out_count}

@@ -14,12 +14,17 @@ from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.types import find_problems
 from jaxunshear.data import frozen_splits
 from jaxunshear.data.frozen_splits import (
-    ContactLabels,
-    apply_frozen_split,
-    describe_frozen_split,
+    compute_image_checksum,
+    compute_label_checksum,
+    compute_row_checksum,
     read_frozen_splits,
 )
-from jaxunshear.data.recorded_contacts import read_contacts, select_labels
+from jaxunshear.data.recorded_contacts import (
+    RecordedContacts,
+    read_contacts,
+    select_labels,
+    split_contacts,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.files import format_csv
 
@@ -41,11 +46,16 @@ def published(tmp_path, monkeypatch):
     contacts = read_contacts(Recorded(str(folder), str(folder)))
     lines = ["[edge_2d]"]
     for is_slide in (False, True):
-        labels = select_labels(contacts, is_slide)
-        files = [contacts.files[row] for row in np.flatnonzero(contacts.is_slide == is_slide)]
+        labels, chosen = select_labels(contacts, is_slide), contacts.is_slide == is_slide
+        files = [contacts.files[row] for row in np.flatnonzero(chosen)]
+        frozen = {
+            "contacts": len(files),
+            "labels": compute_label_checksum(labels),
+            "images": compute_image_checksum(labels, files),
+            "rows": compute_row_checksum(labels, contacts.split[chosen]),
+        }
         lines.append(f"[edge_2d.{labels.kind}]")
-        for name, value in describe_frozen_split(labels, files).items():
-            lines.append(f"{name} = {value!r}")
+        lines += [f"{name} = {value!r}" for name, value in frozen.items()]
     (tmp_path / "frozen.toml").write_text("\n".join(lines))
     monkeypatch.setattr(frozen_splits, "FILE", tmp_path / "frozen.toml")
     return folder
@@ -66,7 +76,7 @@ def change_label(folder, change):
     table.write_text("\n".join([head, ",".join(cells), *rest]))
 
 
-def test_the_rows_are_those_of_a_random_split_of_seed_0(published):
+def test_the_rows_are_as_in_a_random_split_of_seed_0(published):
     frozen = read_split(published)
     assert frozen == read_split(published, "random")
     assert set(frozen.values()) == {0, 1, 2}
@@ -99,10 +109,10 @@ def test_other_recordings_are_refused(published):
         read_split(published)
 
 
-def test_another_way_of_drawing_is_noticed(published, monkeypatch):
-    monkeypatch.setattr(frozen_splits, "KEPT_OUT", 0.2)
+def test_another_way_of_drawing_is_noticed(published):
+    other = Recorded(str(published), str(published), split="edge_2d", test=0.2)
     with pytest.raises(RuntimeError, match="drawn in another way"):
-        read_split(published)
+        read_contacts(other)
 
 
 def test_the_command_lists_rows_and_notices_another_image(published, command, tmp_path):
@@ -162,7 +172,12 @@ def test_each_public_set_is_named_and_cited():
 @pytest.mark.parametrize(("kind", "part"), [("tap", "tap"), ("slide", "shear")])
 def test_public_recordings_have_their_frozen_rows(real_recordings, name, kind, part):
     packed = np.load(real_recordings / f"{name}_{part}_train.npz")
-    names = [f"image_{i + 1}.png" for i in range(len(packed["pose"]))]
-    split = apply_frozen_split(name, ContactLabels(kind, names, packed["pose"], packed["move"]))
+    count = len(packed["pose"])
+    names = tuple(f"image_{i + 1}.png" for i in range(count))
+    none, slides = np.zeros(count, int), np.full(count, kind == "slide")
+    files = tuple(map(Path, names))
+    labels = packed["pose"], packed["move"]
+    contacts = RecordedContacts(files, names, *labels, none - 1, slides, none, {}, ())
+    split = split_contacts(contacts, Recorded("a", "a", split=name)).split
     counts = dict(zip(SPLITS, np.bincount(split).tolist(), strict=True))
     assert counts == {each: read_frozen_splits()[name][kind][each] for each in SPLITS}
