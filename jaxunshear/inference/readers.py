@@ -344,7 +344,7 @@ def make_frame_transforms(image_rest: np.ndarray, model_rest: np.ndarray) -> Fra
 def make_steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
     """Make a function from a camera's frames, one by one, to the view that they have in common.
 
-    It is that of the first PROBES usable frames of each size, as far as they have come.
+    It is the crop of the first PROBES usable frames of each size, as far as they have come.
     """
     views: dict[tuple[int, ...], list[View]] = {}
     common: dict[tuple[int, ...], View] = {}

@@ -41,7 +41,7 @@ LOGISTIC_BIAS = 5.5
 LOGISTIC_WEIGHTS = {"pins": 1.33, "spacing": 0.49, "rim": 1.43, "middle": 1.31, "regular": 0.25}
 
 # Contacts hardly change the spacing of 331 pins: its standard deviation is 0.4 % in simulated
-# images, and 0.3 to 2.1 % in recorded ones, whose means are up to 1.6 % from that of the resting
+# images, and 0.3 to 2.1 % in recorded ones, whose means are up to 1.6 % from the resting
 # pins. Of 127 pins it is 2.6 %. At 5 % the errors of `standard` are 3 to 5 times as large.
 USUAL_SPACING_DIFFERENCE = 0.55  # over the root of the number of pins
 HALVING_SPACING_DIFFERENCE = 0.02  # beyond the usual one: halves the confidence
