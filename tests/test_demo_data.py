@@ -101,5 +101,5 @@ def test_the_next_commands_are_named(quick, tmp_path, command):
 def test_one_line_of_progress_counts_domes_and_contacts(quick, tmp_path, capsys):
     write_demo_data(tmp_path / "demo", 6)
     (line,) = capsys.readouterr().err.splitlines()
-    steps = 2 * (2 * 6 + 10 * demo_data.HARMONIC_STEPS)
+    steps = 2 * (2 * 6 * (1 + demo_data.RENDER_STEPS) + 10 * demo_data.HARMONIC_STEPS)
     assert line.startswith(f"simulate: {steps:g}/{steps:g} steps, ")
