@@ -51,10 +51,7 @@ STAGES = {
     "fit": ("data", NETWORKS, "evaluate", "report"),
 }
 FIT_USAGE = "--taps RECORDINGS --slides RECORDINGS | --recordings RECORDINGS ..."
-FIT_ADVICE = (
-    "Add --unshear.input pins if `jaxunshear doctor` can follow the pins: errors are smaller, and "
-    "training is shorter. Images, the default of --taps and --slides, are for other sensors."
-)
+FIT_ADVICE = "Add --unshear.input pins if `doctor` follows the pins: it is more exact than images."
 DEFAULT_RAY_CORES = 2  # for each row or chunk
 
 

@@ -152,8 +152,9 @@ def collect_poses(
         if np.isfinite(right.get(name, np.nan)):
             kinds[kind] = right[name]
         if get_unit(name) == "deg":  # 182 beside 179, not -178
-            last = list(kinds.values())[-1]
-            kinds |= {each: last + wrap_degrees(angle - last) for each, angle in kinds.items()}
+            angles = np.array(list(kinds.values()))
+            near_last = angles[-1] + wrap_degrees(angles - angles[-1])
+            kinds |= zip(kinds, near_last.tolist(), strict=True)
     return poses
 
 
