@@ -115,7 +115,7 @@ def predict_taps(
 
     Taps lie at `path`, or in the folder `tap` beside it. Slides without such a tap are left out.
     """
-    beside = path.resolve().with_name(TAP_FOLDER)
+    beside = path.resolve().parent / TAP_FOLDER
     folder = beside if beside.is_dir() and not beside.samefile(path) else path
     images: dict[Path, np.ndarray] = {}
     with suppress(UserError):  # labels do not say which are taps, or a tap cannot be read
