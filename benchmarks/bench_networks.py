@@ -314,6 +314,7 @@ def _compare_sides(
             rows[name]["failed"] = _describe_failure(error)
     times, product_s = _time_in_turns(works, rounds)
     rate = 2 * SIZE**3 / product_s
+    first = np.median(next(iter(times.values())))
     for name, seconds in times.items():
         median = np.median(seconds)
         rows[name] |= {
@@ -321,6 +322,7 @@ def _compare_sides(
             "ms_per_image": float(1e3 * median / batch),
             "ms_p95": float(1e3 * np.percentile(seconds, 95) / batch),
             "ms_p99": float(1e3 * np.percentile(seconds, 99) / batch),
+            "ratio": float(median / first),  # of the time to ours
             "share": float(batch * operations / median / rate),
             "steps": len(seconds),
             "product_ms": 1e3 * product_s,
@@ -354,15 +356,15 @@ def _time_in_turns(works: dict[str, Work], rounds: Rounds) -> tuple[dict[str, li
 
 def format_table(rows: Sequence[Json]) -> str:
     """Format rows for people."""
-    lines = [f"{'':22} px   batch  images/s  ms/image     p95  share  compile s"]
+    lines = [f"{'':24} px   batch  images/s  ms/image     p95  ratio  share  compile s"]
     for row in rows:
-        head = f"{row['name']:22} {row['size']:<4} {row['batch']:<5}"
+        head = f"{row['name']:24} {row['size']:<4} {row['batch']:<5}"
         if row["failed"]:
             absent = NOT_INSTALLED in row["failed"]
             lines.append(f"{head}  {'' if absent else 'FAILED: '}{row['failed']}")
             continue
         lines.append(
             f"{head} {row['images_per_s']:9.1f} {row['ms_per_image']:9.2f} {row['ms_p95']:7.2f} "
-            f"{row['share']:6.2f} {row['compile_s']:10.1f}"
+            f"{row['ratio']:6.2f} {row['share']:6.2f} {row['compile_s']:10.1f}"
         )
     return "\n".join(lines)
