@@ -3,20 +3,21 @@
 #
 #     benchmarks/gpu.sh [--dry-run] [PART ...]
 #
-# Parts: install check train infer frame sim seeds paper; without names all of them, in this order.
+# Parts: install train infer frame sim seeds paper; without names all of them, in this order.
 # Benchmarks begin anew after a stop, so they come first. `paper` takes the time that is left, and
-# the same command continues it. At most MINUTES (25) pass. Results go to runs/gpu, and copies to
-# the folder OUT if it is set: commands name no other place, so docs/keep.py takes their files.
+# continues if it is run again. At most MINUTES (25) pass. Results go to runs/gpu, and copies to the
+# folder OUT if it is set: commands name no other place, so docs/keep.py takes their files.
 set -u
 cd "$(dirname "$0")/.." || exit 2
 
-PARTS="install check train infer frame sim seeds paper"
+PARTS="install train infer frame sim seeds paper"
 TO=runs/gpu
 END=$((SECONDS + 60 * ${MINUTES:-25} - 30)) # the summary takes the last half minute
 REST=100000 # seconds: until END
 PATH=$PWD/.venv/bin:$PATH
-export PATH JAX_PLATFORMS=cuda,cpu # fails without a GPU, instead of measuring the CPU
+export PATH JAX_PLATFORMS=cuda,cpu # a GPU that cannot be opened is an error
 dry=false
+checked=false
 child=
 failed=()
 
@@ -80,10 +81,12 @@ install() {
             --constraint constraints.txt --editable . "$wanted"
 }
 
+# End unless JAX sees a GPU: else the CPU would be measured.
 check() {
+    checked=true
     step check 120 python -c 'import jax; print(jax.devices("gpu"))' && return
     failed+=("JAX sees no GPU: install an NVIDIA driver, 580 or later for CUDA 13 or 525 for CUDA \
-12; then run benchmarks/gpu.sh install check")
+12; then run benchmarks/gpu.sh install")
     finish
 }
 
@@ -116,12 +119,11 @@ paper() {
 run_part() {
     case $1 in
         install) install ;;
-        check) check ;;
         train) bench train 300 train ;;
         infer) bench infer 240 infer ;;
         frame) bench frame 240 frame ;;
         sim)
-            bench sim_64 150 sim --level auto --batch 64
+            bench sim_64 240 sim --level auto --batch 64
             bench sim_256 150 sim --level auto --batch 256
             ;;
         seeds) seeds ;;
@@ -142,5 +144,8 @@ done
 [ ${#chosen[@]} -gt 0 ] || read -ra chosen <<<"$PARTS"
 trap 'failed+=("stopped by a signal"); finish' INT TERM
 $dry || mkdir -p "$TO"
-for part in "${chosen[@]}"; do run_part "$part"; done
+for part in "${chosen[@]}"; do
+    [ "$part" = install ] || $checked || check
+    run_part "$part"
+done
 finish

@@ -16,7 +16,7 @@ from jaxunshear.config.rules import validate
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / "benchmarks" / "gpu.sh"
-PARTS = ("install", "check", "train", "infer", "frame", "sim", "seeds", "paper")
+STEPS = ("install", "check", "train", "infer", "frame", "sim", "seeds", "paper")
 FAKES = ("python", "python3", "jaxunshear", "nvidia-smi")
 
 
@@ -63,11 +63,11 @@ def test_a_dry_run_lists_every_part_and_does_nothing(gpu, tmp_path):
     answer, calls = gpu("--dry-run")
     names = [line.partition(":")[0] for line in answer.stdout.splitlines()]
     assert answer.returncode == 0 and not answer.stderr
-    assert all(any(name.startswith(part) for name in names) for part in PARTS)
+    assert all(any(name.startswith(part) for name in names) for part in STEPS)
     assert all(call.startswith("nvidia-smi") for call in calls)
     assert not (tmp_path / "clone" / "runs").exists()
-    (step,) = gpu("--dry-run", "frame")[0].stdout.splitlines()
-    assert step.startswith("frame: ")
+    check, frame = gpu("--dry-run", "frame")[0].stdout.splitlines()
+    assert check.startswith("check: ") and frame.startswith("frame: ")
 
 
 def test_every_command_parses(gpu):
@@ -97,12 +97,12 @@ def test_a_failing_part_is_reported_and_later_ones_run(gpu, tmp_path):
     assert started == ["train", "infer", "frame"]
     assert calls[-1] == "python -m benchmarks.gpu_summary runs/gpu"
     steps = {row["name"]: row["exit_code"] for row in gpu_summary.read_steps(tmp_path / "out")}
-    assert steps == {"train": 0, "infer": 3, "frame": 0}
+    assert steps == {"check": 0, "train": 0, "infer": 3, "frame": 0}
 
 
 def test_without_a_gpu_the_rest_is_left_out(gpu):
     fails = 'import jax; print(jax.devices("gpu"))'
-    answer, calls = gpu("check", "train", FAILS=fails)
+    answer, calls = gpu("train", FAILS=fails)
     assert answer.returncode == 1 and "install an NVIDIA driver" in answer.stderr
     assert not any("benchmarks train" in call for call in calls)
 
@@ -115,9 +115,9 @@ def test_two_seeds_are_started_by_one_and_by_two(gpu, tmp_path):
 
 
 def test_no_step_starts_after_the_time_limit(gpu):
-    answer, calls = gpu("train", MINUTES="0")
-    assert answer.returncode == 1 and "train: no time is left" in answer.stderr
-    assert not any("benchmarks train" in call for call in calls)
+    answer, calls = gpu("install", MINUTES="0")
+    assert answer.returncode == 1 and "venv: no time is left" in answer.stderr
+    assert not any("venv" in call for call in calls)
 
 
 def test_an_unknown_part_is_refused(gpu):
