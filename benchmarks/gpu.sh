@@ -59,7 +59,8 @@ copy() {
 finish() {
     [ -z "$child" ] || { kill "$child" && wait "$child"; }
     # without a GPU, too: then the file says so
-    $dry || { JAX_PLATFORMS='' python -m benchmarks.gpu_summary "$TO" && copy; }
+    $dry || { JAX_PLATFORMS='' python -m benchmarks.gpu_summary "$TO" && copy; } ||
+        failed+=("summary: not written")
     if [ ${#failed[@]} -gt 0 ]; then
         printf 'failed: %s\n' "${failed[@]}" >&2
         exit 1

@@ -68,7 +68,8 @@ def compare_seeds(folder: Path, rows: list[Json]) -> Json:
 
 def _read_train_seconds(file: Path) -> float:
     (cell,) = read_object(file)["cells"]
-    return sum(cell["costs"]["train_seconds"].values())
+    (costs,) = cell["costs"].values()  # by seed
+    return sum(costs["train_seconds"].values())
 
 
 def main(folder: Path) -> None:

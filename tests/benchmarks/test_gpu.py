@@ -5,6 +5,7 @@ import os
 import shlex
 import shutil
 import subprocess
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from benchmarks import commands, gpu_summary
 from jaxunshear import cli
 from jaxunshear.config.network_config import list_trained_networks
 from jaxunshear.config.rules import validate
+from jaxunshear.results.sweep import CellResult, Costs
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / "benchmarks" / "gpu.sh"
@@ -130,9 +132,10 @@ def test_a_summary_has_the_last_time_of_each_step_and_the_gain(tmp_path, capsys)
     (tmp_path / "steps.tsv").write_text("\n".join(lines) + "\n")
     for workers, seconds in ((1, (20, 22)), (2, (30, 28))):
         for seed, train_s in enumerate(seconds):
-            cells = [{"costs": {"train_seconds": {"disentangled": train_s}}}]
-            file = tmp_path / f"seed_by_{workers}_{seed}.json"
-            file.write_text(json.dumps({"cells": cells}))
+            costs = Costs(train_seconds={"disentangled": train_s})
+            cell = CellResult(label="base", point=(), costs={str(seed): costs})
+            content = {"cells": [asdict(cell)]}
+            (tmp_path / f"seed_by_{workers}_{seed}.json").write_text(json.dumps(content))
     gpu_summary.main(tmp_path)
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["rows"][0] == {"name": "train", "s": 100, "exit_code": 0}
