@@ -73,12 +73,13 @@ def track_worn_pins(lattice: Lattice, detected: DetectedPins, track: PinTrack) -
             lattice, track_worn_pins(lattice.intact, detected, drop_lost_pins(lattice, track))
         )
     motions = _propose_worn_motions(lattice, detected.pins)
-    first = next(_find_worn_tracks(lattice, detected.pins, motions), None)
+    tried: set[bytes] = set()
+    first = next(_find_worn_tracks(lattice, detected.pins, motions, tried), None)
     if first is None:
         return track
     # a regular lattice with one side behind the housing may also fit one place further
     moved = [lattice.fill_missing(first.motion) + step for step in _find_steps(lattice)]
-    tracks = [first, *_find_worn_tracks(lattice, detected.pins, moved)]
+    tracks = [first, *_find_worn_tracks(lattice, detected.pins, moved, tried)]
     tracks.sort(key=lambda worn: worn.missed + worn.extra)
     best = tracks[0]
     is_sure = all(
@@ -99,13 +100,18 @@ def _find_steps(lattice: Lattice) -> list[np.ndarray]:
 
 
 def _find_worn_tracks(
-    lattice: Lattice, detected: np.ndarray, motions: Iterable[np.ndarray]
+    lattice: Lattice, detected: np.ndarray, motions: Iterable[np.ndarray], tried: set[bytes]
 ) -> Iterator[PinTrack]:
-    """Yield the identified ones of the tracks that start from first motions (P, 2) px."""
+    """Yield the identified ones of the tracks that start from first motions (P, 2) px.
+
+    Matched identities that were `tried` are left out, and new ones are added to these.
+    """
     for motion in motions:
         rating = match_iteratively(lattice, detected, motion)
-        if rating.fault_count > MAX_WORN_FAULT_SHARE * len(lattice.rest):
+        key = rating.identity.tobytes()
+        if key in tried or rating.fault_count > MAX_WORN_FAULT_SHARE * len(lattice.rest):
             continue
+        tried.add(key)
         identity = repair_identities(lattice, detected, rating)
         worn = assess_worn_track(lattice, detected, identity)
         if worn.identified:
