@@ -77,13 +77,12 @@ def track_worn_pins(lattice: Lattice, detected: DetectedPins, track: PinTrack) -
         if not own.identified:
             return track  # other first motions lead to the same identities
     motions = _propose_worn_motions(lattice, detected.pins)
-    tried: set[bytes] = set()
-    first = next(_find_worn_tracks(lattice, detected.pins, motions, tried), None)
+    first = next(_find_worn_tracks(lattice, detected.pins, motions), None)
     if first is None:
         return track
     # a regular lattice with one side behind the housing may also fit one place further
     moved = [lattice.fill_missing(first.motion) + step for step in _find_steps(lattice)]
-    tracks = [first, *_find_worn_tracks(lattice, detected.pins, moved, tried)]
+    tracks = [first, *_find_worn_tracks(lattice, detected.pins, moved)]
     tracks.sort(key=lambda worn: worn.missed + worn.extra)
     best = tracks[0]
     is_sure = all(
@@ -104,18 +103,13 @@ def _find_steps(lattice: Lattice) -> list[np.ndarray]:
 
 
 def _find_worn_tracks(
-    lattice: Lattice, detected: np.ndarray, motions: Iterable[np.ndarray], tried: set[bytes]
+    lattice: Lattice, detected: np.ndarray, motions: Iterable[np.ndarray]
 ) -> Iterator[PinTrack]:
-    """Yield the identified ones of the tracks that start from first motions (P, 2) px.
-
-    Matched identities that were `tried` are left out, and new ones are added to these.
-    """
+    """Yield the identified ones of the tracks that start from first motions (P, 2) px."""
     for motion in motions:
         rating = match_iteratively(lattice, detected, motion)
-        key = rating.identity.tobytes()
-        if key in tried or rating.fault_count > MAX_WORN_FAULT_SHARE * len(lattice.rest):
+        if rating.fault_count > MAX_WORN_FAULT_SHARE * len(lattice.rest):
             continue
-        tried.add(key)
         identity = repair_identities(lattice, detected, rating)
         worn = assess_worn_track(lattice, detected, identity)
         if worn.identified:
