@@ -175,36 +175,29 @@ def _grow_identities(
     identity = identity.copy()
     used = np.zeros(len(detected), bool)
     used[identity[identity >= 0]] = True
-    distance, nearest = np.zeros(len(identity)), np.zeros(len(identity), int)
-    stale = np.ones(len(identity), bool)  # a neighbour was identified since the last prediction
     for limit in GROW_RADII:
         failed = np.zeros(len(identity), bool)  # tried in vain since a neighbour was identified
         while True:
             identified = identity >= 0
             support = identified[lattice.neighbours[:, :NEAREST]].sum(axis=1)
             candidate = ~identified & (support >= MIN_KNOWN_NEIGHBOURS)
-            again = np.flatnonzero(candidate & stale)
-            if len(again):
-                place = _predict_positions(lattice, detected, identity, again)
-                distance[again], nearest[again] = tree.query(place)
-                stale[again] = False
-            tested = candidate & ~failed
-            near = tested & (distance < limit * lattice.spacing) & ~used[nearest]
+            pins = np.flatnonzero(candidate & ~failed)
+            if not len(pins):
+                break
+            distance, nearest = tree.query(_predict_positions(lattice, detected, identity, pins))
+            near = (distance < limit * lattice.spacing) & ~used[nearest]
+            failed[pins[~near]] = True
             if not near.any():
                 break
-            failed |= tested & ~near
             level = support[candidate].max()
-            while not (first := near & (support >= level - 1)).any():
+            while not (first := near & (support[pins] >= level - 1)).any():
                 level = support[candidate & (support < level - 1)].max()
-            pins = np.flatnonzero(first)
-            for pin in pins[np.argsort(distance[pins])]:
-                if not used[nearest[pin]]:
-                    identity[pin] = nearest[pin]
-                    used[nearest[pin]] = True
+            for row in np.flatnonzero(first)[np.argsort(distance[first])]:
+                if not used[nearest[row]]:
+                    identity[pins[row]] = nearest[row]
+                    used[nearest[row]] = True
             grown = ~identified & (identity >= 0)
-            beside = grown[lattice.neighbours].any(axis=1)
-            stale |= beside
-            failed &= ~beside
+            failed[grown[lattice.neighbours].any(axis=1)] = False
     return identity
 
 
