@@ -62,6 +62,16 @@ class PinTrack(NamedTuple):
         """Which pins have a motion."""
         return ~np.isnan(self.motion[:, 0])
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether no other first motion helps: it is identified, or only undetected pins miss.
+
+        Then pins with a dot move smoothly, and few dots have no pin.
+        """
+        max_misfits = max(1, MAX_MISFIT_SHARE * len(self.motion))
+        is_full = self.visible.sum() >= np.sum(self.identity >= 0) and self.extra <= max_misfits
+        return self.identified or bool(is_full and self.max_offset <= MAX_OFFSET)
+
 
 def drop_lost_pins(lattice: Lattice, track: PinTrack) -> PinTrack:
     """Drop the pins that are lost from a track."""

@@ -102,7 +102,7 @@ def track_all(lattice: Lattice, frames: list[DetectedPins]) -> list[PinTrack]:
     prior = fit_motion_prior(lattice, tracks)
     if prior is not None:
         tracks = [
-            track if track.identified else track_pins(lattice, detected, prior)
+            track if track.is_settled else track_pins(lattice, detected, prior)
             for track, detected in zip(tracks, frames, strict=True)
         ]
     return [
@@ -124,20 +124,30 @@ def track_pins(
     best = PinTrack(missing, np.full(pins, -1), float("inf"), pins, count, False)
     if count < MIN_DETECTED_SHARE * pins:
         return best
-    postponed = []
-    for motion in _propose_motions(lattice, detected.pins, prior):
-        rating = match_iteratively(lattice, detected.pins, motion)
-        if rating.fault_count > MAX_FAULT_SHARE * pins:
-            postponed.append(rating)
-            continue
+    tried: set[bytes] = set()
+    for rating in _match_in_turn(lattice, detected.pins, prior):
+        key = rating.identity.tobytes()
+        if key in tried:
+            continue  # equal identities end as before
+        tried.add(key)
         best = _choose_better(best, _finish_track(lattice, detected, rating))
-        if best.identified:
-            return best
-    for rating in sorted(postponed, key=lambda rating: rating.fault_count)[:MAX_REPAIRED]:
-        best = _choose_better(best, _finish_track(lattice, detected, rating))
-        if best.identified:
+        if best.is_settled:
             break
     return best
+
+
+def _match_in_turn(
+    lattice: Lattice, detected: np.ndarray, prior: MotionPrior | None
+) -> Iterator[Rating]:
+    """Yield rated identities from each first motion, those with many faults last."""
+    postponed = []
+    for motion in _propose_motions(lattice, detected, prior):
+        rating = match_iteratively(lattice, detected, motion)
+        if rating.fault_count > MAX_FAULT_SHARE * len(lattice.rest):
+            postponed.append(rating)
+        else:
+            yield rating
+    yield from sorted(postponed, key=lambda rating: rating.fault_count)[:MAX_REPAIRED]
 
 
 def _finish_track(lattice: Lattice, detected: DetectedPins, rating: Rating) -> PinTrack:

@@ -72,6 +72,10 @@ def track_worn_pins(lattice: Lattice, detected: DetectedPins, track: PinTrack) -
         return add_lost_pins(
             lattice, track_worn_pins(lattice.intact, detected, drop_lost_pins(lattice, track))
         )
+    if track.is_settled:
+        own = assess_worn_track(lattice, detected.pins, track.identity)
+        if not own.identified:
+            return track  # other first motions lead to the same identities
     motions = _propose_worn_motions(lattice, detected.pins)
     first = next(_find_worn_tracks(lattice, detected.pins, motions), None)
     if first is None:
