@@ -134,8 +134,11 @@ def _run(arguments: argparse.Namespace, keep: Keep) -> int:
     if arguments.command == "sim":  # hours: rows are kept as they come
         options["keep"] = keep
     module = import_module(f"benchmarks.{benchmark.module}")
+    from jaxunshear.results.provenance import describe_machine
+
     rows = getattr(module, f"bench_{arguments.command}")(**options)
     print(module.format_table(rows))
+    print(f"device: {describe_machine().device}")
     keep(rows)
     if folder is not None:
         from benchmarks.bench_figure import plot_work_precision

@@ -11,6 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from PIL import Image
 
 from jaxunshear import load_model
@@ -33,6 +35,7 @@ STRIDE = 8  # steps of the slide between two pictures
 PICTURE_MS = 160
 VIEW_MM = 9.0  # of the object, to each side of the dome's apex
 ARROW_SCALE = 3.0  # motions are drawn this many times as long
+ARROW_KEY = f"motion of a pin, {ARROW_SCALE:g} times as long"
 OBJECT = "#e9dcc9"
 COLOURS = {"sheared": "#d9822b", "unsheared": "#1f6feb", "tap": "#2a9d6f"}
 PALETTE = 40  # colours of the file, which keep it small
@@ -122,18 +125,36 @@ def draw_image(axes: Axes, slide: Slide, rest: np.ndarray, kind: str, step: int)
     axes.text(0.5, -0.09, text, transform=axes.transAxes, ha="center", fontsize=9)
 
 
+def make_keys() -> list[Line2D | Patch]:
+    """Make the keys of what the pictures draw."""
+    edges = [
+        Line2D([], [], color=COLOURS[kind], marker=".", lw=1, label=f"edge from {kind}")
+        for kind in ("sheared", "unsheared")
+    ]
+    return [
+        Patch(color=OBJECT, label="object"),
+        Line2D([], [], color=INK, marker="+", lw=0, label="apex of the dome"),
+        Line2D([], [], color=FAINT, lw=0.8, label="its path"),
+        *edges,
+        Line2D([], [], color=INK, marker=r"$\rightarrow$", ms=12, lw=0, label=ARROW_KEY),
+    ]
+
+
 def draw_picture(slide: Slide, model: TrainedModel, step: int) -> Image.Image:
     """Draw one picture of the animation."""
-    figure = Figure(figsize=(8.4, 2.5), dpi=100, facecolor="white")
+    figure = Figure(figsize=(8.4, 2.8), dpi=100, facecolor="white")
     canvas = FigureCanvasAgg(figure)
     scene, *panels = figure.subplots(1, 4)
-    figure.subplots_adjust(left=0.01, right=0.99, top=0.89, bottom=0.1, wspace=0.05)
+    figure.subplots_adjust(left=0.01, right=0.99, top=0.9, bottom=0.19, wspace=0.05)
     draw_scene(scene, slide, step)
     for axes, kind in zip(panels, slide.images, strict=True):
         draw_image(axes, slide, model.lattice.rest, kind, step)
     for axes in (scene, *panels):
         axes.set_xticks([])
         axes.set_yticks([])
+    keys = make_keys()
+    place = {"loc": "lower center", "bbox_to_anchor": (0.5, -0.02), "ncols": len(keys)}
+    figure.legend(handles=keys, fontsize=8, frameon=False, columnspacing=1.0, **place)
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
 

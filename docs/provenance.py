@@ -113,7 +113,7 @@ def format_note(names: Iterable[str], page: str) -> str:
         if name in stale.changed:
             words.append("its code has changed since")
         if name in stale.settings:
-            words.append("its command gives other settings today")
+            words.append("to repeat it take the settings in the file (today's defaults differ)")
         sentences.append(f"[{name}.json]({folder}/{name}.json): {', '.join(words)}")
     return f"{NOTE}{'; '.join(sentences)}.</sub>"
 

@@ -35,8 +35,9 @@ from jaxunshear.files import Json, format_csv, write_bytes, write_text
 from jaxunshear.output_checks import check_new_folder
 from jaxunshear.perception.drawing import encode_png
 from jaxunshear.perception.preprocess import binarise
-from jaxunshear.progress import Progress
+from jaxunshear.progress import Counter, Progress, Stage
 from jaxunshear.simulator.camera import render_frame
+from jaxunshear.simulator.dome import count_dome_steps, load_dome
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.scene import make_scenes
 from jaxunshear.simulator.simulate import simulate
@@ -50,6 +51,8 @@ STIMULUS = "edge"
 ACROSS_MM, DEPTH_MM = (-5.0, 5.0), (2.0, 4.5)  # of the poses; angles are over the full circle
 SLIDE_MM, TWIST_DEG = 3.0, 5.0  # slides move, and turn, by up to this
 RENDERED_AT_ONCE = 16
+# of the progress, by time: to solve a contact is one step
+HARMONIC_STEPS, RENDER_STEPS = 4.0, 0.5  # for a harmonic of a dome, and to render a contact
 CAMERA_PX = 480  # side of grey frames as a camera gives them
 
 
@@ -95,15 +98,16 @@ def write_demo_data(folder: Path, contacts: int = CONTACTS, seed: int = 0) -> No
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as place:
         part = Path(place) / folder.name
-        with Progress("simulate contacts", 2 * sum(counts), unit="contacts") as progress:
+        steps = 2 * sum(counts) * (1 + RENDER_STEPS)
+        steps += HARMONIC_STEPS * sum(count_dome_steps(demo.sensor) for demo in SENSORS)
+        with Progress("simulate", steps, unit="steps") as progress:
             for demo, count in zip(SENSORS, counts, strict=True):
                 _write_sensor(part / demo.name, demo, count, seed, progress)
         part.rename(folder)  # one that is empty is replaced
 
 
-def _write_sensor(
-    folder: Path, demo: DemoSensor, count: int, seed: int, progress: Progress
-) -> None:
+def _write_sensor(folder: Path, demo: DemoSensor, count: int, seed: int, progress: Counter) -> None:
+    load_dome(demo.sensor, Stage(progress, HARMONIC_STEPS))
     labels = sample_labels(count, seed)
     pose, move = convert_labels(labels)
     scenes = make_scenes((STIMULUS,), np.zeros(2 * count, int), pose, move, FITTED_FRICTION)
@@ -124,6 +128,7 @@ def _write_sensor(
     pictures = _render(large, touched.pins[shown], seed, _convert_to_bytes)
     write_recording(folder / "camera", pictures, labels.take(shown), shown - count)
     write_images(folder / "untouched", images[2 * count :])
+    progress.advance(RENDER_STEPS * 2 * count)
 
 
 def sample_labels(count: int, seed: int) -> Labels:

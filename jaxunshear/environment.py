@@ -30,10 +30,14 @@ DEVICE_COUNT = "JAXUNSHEAR_DEVICES"  # devices of a training, see `training/devi
 def prepare_process() -> None:
     """Make standard streams writable, and have SIGTERM and SIGHUP stop a program as Ctrl-C does.
 
-    Without standard streams the next open files would take their numbers, and messages of C++ go
-    there. Child processes do not import modules of the working folder, such as a `random.py`.
+    To be called before JAX is imported. Without standard streams the next open files would take
+    their numbers, and messages of C++ go there. Child processes do not import modules of the
+    working folder, such as a `random.py`.
     """
     os.environ.setdefault("PYTHONSAFEPATH", "1")
+    # XLA's log has alarms that harm nothing: of programs that compile slowly, and one for each kept
+    # program, as tuning flags are no features of the processor; errors are exceptions in any case
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         stream = getattr(sys, name)
         if stream is None:  # closed by whoever started this process
@@ -109,12 +113,7 @@ def read_device_count() -> int | None:
 
 
 def keep_compiled_programs() -> None:
-    """Keep what JAX compiles in the user's cache folder, unless a variable names another place.
-
-    To be called before JAX is imported.
-    """
-    # XLA reports an error for each kept program, as tuning flags are no features of the processor
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    """Keep what JAX compiles in the user's cache folder, unless a variable names another place."""
     import jax
 
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:

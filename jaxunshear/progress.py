@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from functools import cache
-from typing import Self, TextIO
+from typing import Protocol, Self, TextIO
 
 from rich import progress
 from rich.console import Console
@@ -21,6 +21,13 @@ from jaxunshear.text_table import format_plain
 TERMINAL_SECONDS = 0.2
 LOG_SECONDS = 10.0
 STEPS_BEFORE = 4  # a time left is shown
+
+
+class Counter(Protocol):
+    """Counts what is done: all of a long work, or a stage of it."""
+
+    def advance(self, n: float = 1) -> None:
+        """Count `n` more."""
 
 
 class Progress:
@@ -98,6 +105,16 @@ class Progress:
             return
         (task,) = self._bar.task_ids
         self._bar.update(task, description=self.format_line(now), completed=self.done, refresh=True)
+
+
+class Stage:
+    """Counts a stage of a longer work, each of whose units is `steps` of the work's."""
+
+    def __init__(self, work: Counter, steps: float) -> None:
+        self._work, self._steps = work, steps
+
+    def advance(self, n: float = 1) -> None:
+        self._work.advance(n * self._steps)
 
 
 def _make_bar(stream: TextIO) -> progress.Progress:

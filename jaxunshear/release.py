@@ -159,6 +159,6 @@ def _describe_data(results: Results) -> str:
         f"`{settings['sensor']['name']}`, shapes {shapes}) by `{results.command}`: poses within "
         f"{ranges['lateral_mm']:g} mm and {ranges['yaw_deg']:g} deg, depths "
         f"{ranges['depth_min_mm']:g} to {ranges['depth_max_mm']:g} mm, slides up to "
-        f"{ranges['move_mm']:g} mm{angles}. Not measured here: any real sensor (`jaxunshear "
-        "evaluate MODEL --recordings DIR`)."
+        f"{ranges['move_mm']:g} mm{angles}. The errors below are of simulated touches; "
+        "`jaxunshear evaluate MODEL --recordings DIR` measures them on a real sensor."
     )

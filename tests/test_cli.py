@@ -245,6 +245,8 @@ def test_help_lists_every_field(command):
     ):
         assert name in text and name not in brief
     assert "`jaxunshear run --help-all`" in brief and "--help-all`" not in text
+    for option in ("--help", "--help-all"):
+        assert "Add --unshear.input pins if" in command("fit", option).out
 
 
 def test_every_stage_of_a_command_is_one_of_run():

@@ -30,6 +30,8 @@ def quick(monkeypatch):
         return SimpleNamespace(pins=pins, converged=np.arange(len(scenes)) != 4)
 
     monkeypatch.setattr(demo_data, "simulate", simulate)
+    monkeypatch.setattr(demo_data, "count_dome_steps", lambda sensor: 10)
+    monkeypatch.setattr(demo_data, "load_dome", lambda sensor, stage: stage.advance(10))
 
 
 def test_the_same_seed_gives_a_recording_of_the_same_bits(quick, tmp_path):
@@ -94,3 +96,10 @@ def test_the_next_commands_are_named(quick, tmp_path, command):
     answer = command("demo-data", tmp_path / "demo", "--contacts", "6")
     assert answer.code == 0
     assert f"jaxunshear doctor {tmp_path / 'demo'}/331_pins/edge" in answer.out
+
+
+def test_one_line_of_progress_counts_domes_and_contacts(quick, tmp_path, capsys):
+    write_demo_data(tmp_path / "demo", 6)
+    (line,) = capsys.readouterr().err.splitlines()
+    steps = 2 * (2 * 6 * (1 + demo_data.RENDER_STEPS) + 10 * demo_data.HARMONIC_STEPS)
+    assert line.startswith(f"simulate: {steps:g}/{steps:g} steps, ")

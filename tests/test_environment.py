@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxunshear.environment import check_variables
+from jaxunshear.environment import check_variables, prepare_process
 from jaxunshear.errors import UserError
 from jaxunshear.files import cache_folder
 from jaxunshear.sweep.tasks import TaskOrder
@@ -37,6 +37,15 @@ def test_what_decides_results_is_refused(monkeypatch):
     refusal = r"^JAX_DEFAULT_PRNG_IMPL=1, JAX_ENABLE_X64=1, JAX_.*: would .* unset it$"
     with pytest.raises(UserError, match=refusal):
         check_variables()
+
+
+def test_alarms_of_xla_are_not_shown_unless_asked_for(monkeypatch):
+    for given, kept in ((None, "3"), ("0", "0")):
+        monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL", raising=False)
+        if given is not None:
+            monkeypatch.setenv("TF_CPP_MIN_LOG_LEVEL", given)
+        prepare_process()
+        assert os.environ["TF_CPP_MIN_LOG_LEVEL"] == kept
 
 
 def test_processes_of_a_sweep_refuse_it_too(monkeypatch, tmp_path):

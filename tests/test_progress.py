@@ -7,7 +7,7 @@ from contextlib import redirect_stderr
 
 import pytest
 
-from jaxunshear.progress import Progress, format_duration
+from jaxunshear.progress import Progress, Stage, format_duration
 
 
 class Clock:
@@ -87,6 +87,12 @@ def test_first_steps_that_compile_are_not_extrapolated():
     assert [line for line in lines[:2] if "left" in line] == []
     assert lines[2] == "servo: 22/400 steps, 2 steps/s, 3 min 09 s left"
     assert lines[-1].endswith("done in 4 min 49 s")
+
+
+def test_a_stage_counts_its_units_as_steps_of_the_work():
+    progress = Progress("demo", total=100, stream=io.StringIO())
+    Stage(progress, 2.5).advance(4)
+    assert progress.done == 10
 
 
 def test_resumed_work_does_not_count_towards_the_rate():

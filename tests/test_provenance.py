@@ -202,7 +202,7 @@ def test_a_command_names_where_its_file_is_today():
     moved = format_note(["lambda_split"], "README.md")
     assert "(now experiments/ablations/lambda_split.py)" in moved
     assert "(now" not in format_note(["standard"], "README.md")
-    assert format_note(["few_pairs"], "README.md").endswith("other settings today.</sub>")
+    assert format_note(["few_pairs"], "README.md").endswith("defaults differ).</sub>")
 
 
 CODE = {"version": "0.3.0", "date": "2030-01-02", "commit": "0123456789", "clean": True}

@@ -113,11 +113,11 @@ def test_a_folder_of_the_name_that_a_temporary_one_might_have_is_kept(run, tmp_p
 
 
 def test_a_card_gives_how_far_slides_twist_and_the_sensor_leans():
-    assert "slides up to 2.5 mm. Not" in card_of(RESULTS)
+    assert "slides up to 2.5 mm. The errors" in card_of(RESULTS)
     wider = deepcopy(RESULTS)
     wider["settings"]["paired"]["ranges"] |= {"twist_deg": 5.0, "tilt_deg": 25.0}
     text = card_of(wider)
-    assert "slides up to 2.5 mm, twist up to 5 deg, tilt up to 25 deg. Not" in text
+    assert "slides up to 2.5 mm, twist up to 5 deg, tilt up to 25 deg. The errors" in text
 
 
 def test_released_weights_do_what_the_run_does(run, tmp_path):

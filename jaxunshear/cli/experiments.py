@@ -51,6 +51,7 @@ STAGES = {
     "fit": ("data", NETWORKS, "evaluate", "report"),
 }
 FIT_USAGE = "--taps RECORDINGS --slides RECORDINGS | --recordings RECORDINGS ..."
+FIT_ADVICE = "Add --unshear.input pins if `doctor` follows the pins: it is more exact than images."
 DEFAULT_RAY_CORES = 2  # for each row or chunk
 
 
@@ -364,6 +365,7 @@ COMMANDS = tuple(
         takes_fields=FIT_USAGE if name == "fit" else options[0][1]["metavar"],
         is_resumable=name != "evaluate",
         checks_out=False,
+        advice=FIT_ADVICE if name == "fit" else "",
     )
     for name, (text, options) in OPTIONS.items()
 )

@@ -41,6 +41,7 @@ class Command:
     is_resumable: bool = False  # continues where it stopped
     checks_out: bool = True  # --out may not lie in a run; else `run` checks it
     computes: bool = True  # results, which depend on the environment and on the code
+    advice: str = ""  # below the options of its help
 
     def list_options(self) -> list[Option]:
         flat: list[Option] = []
@@ -59,8 +60,9 @@ class Command:
             start = f"jaxunshear {self.name} {self.takes_fields}"
             parser.usage = f"{start} [options] [--field value ...]"
             parser.set_defaults(takes_fields=help_all)
-        if self.has_more_help and not help_all:
-            parser.epilog = f"`jaxunshear {self.name} {HELP_ALL}` shows all options."
+        is_partial = self.has_more_help and not help_all
+        more = f"`jaxunshear {self.name} {HELP_ALL}` shows all options." if is_partial else ""
+        parser.epilog = f"{self.advice} {more}".strip()
         for each in self.options:
             parent = parser.add_mutually_exclusive_group() if isinstance(each, list) else parser
             for name, settings in each if isinstance(each, list) else [each]:

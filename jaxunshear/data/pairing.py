@@ -18,6 +18,7 @@ from jaxunshear.angles import wrap_degrees
 from jaxunshear.config.targets import RECORDED_FIELDS, Targets
 from jaxunshear.data.chunks import unpack_bits
 from jaxunshear.data.reader import Batch
+from jaxunshear.data.recorded_contacts import RecordedContacts
 
 # Of the pins' spacing: how far beyond the outermost pins an image moves with them.
 MAX_OUTSIDE_SPACINGS = 0.75
@@ -140,6 +141,14 @@ def match_same_pose(slides: Batch, taps: Batch, checked: bool) -> np.ndarray:
             turn = turns.get(pose_id, 0)
             matches[row], turns[pose_id] = candidates[turn % len(candidates)], turn + 1
     return matches
+
+
+def find_recorded_taps(contacts: RecordedContacts, slides: np.ndarray) -> np.ndarray:
+    """Find the taps (N,) that were recorded at the poses of slides (N,), -1 where there is none."""
+    taps = np.flatnonzero(~contacts.is_slide)
+    labels = {"pose": contacts.pose, "pose_id": contacts.pose_id}
+    found = match_same_pose(take_rows(labels, slides), take_rows(labels, taps), checked=True)
+    return np.where(found >= 0, np.append(taps, -1)[found], -1)
 
 
 def make_image_warper(rest: np.ndarray, spacing_px: float, size: int) -> ImageWarper:

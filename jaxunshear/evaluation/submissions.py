@@ -20,7 +20,7 @@ from jaxunshear.config.sensor import Preprocess
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import get_unit, make_label_targets
 from jaxunshear.data.labels import IMAGE_COLUMNS, name_labels, normalise_text
-from jaxunshear.data.pairing import match_same_pose, take_rows
+from jaxunshear.data.pairing import find_recorded_taps
 from jaxunshear.data.reader import concatenate_batches
 from jaxunshear.data.recorded_contacts import RecordedContacts, read_contacts, read_test_contacts
 from jaxunshear.data.recordings import (
@@ -140,7 +140,7 @@ def _score_images(path: Path, contacts: RecordedContacts, left_out: Counter[str]
     submitted = read_recordings(path, Preprocess())
     matched = match_slides(submitted.names, contacts)
     known = np.flatnonzero(_count_missing(matched, contacts, left_out))
-    taps = _find_taps(contacts, matched[known])
+    taps = find_recorded_taps(contacts, matched[known])
     left_out[NO_TAP] += int(np.sum(taps < 0))
     chosen, taps = known[taps >= 0], taps[taps >= 0]
     if not len(chosen):
@@ -176,14 +176,6 @@ def _score_images(path: Path, contacts: RecordedContacts, left_out: Counter[str]
             f"give square images of one size; {_format_counts(left_out)}"
         )
     return _Scores(matched[chosen[kept]], scores)
-
-
-def _find_taps(contacts: RecordedContacts, slides: np.ndarray) -> np.ndarray:
-    """Find the taps (N,) that were recorded at the poses of slides (N,), -1 where there is none."""
-    taps = np.flatnonzero(~contacts.is_slide)
-    labels = {"pose": contacts.pose, "pose_id": contacts.pose_id}
-    found = match_same_pose(take_rows(labels, slides), take_rows(labels, taps), checked=True)
-    return np.where(found >= 0, np.append(taps, -1)[found], -1)
 
 
 def _read_triple(

@@ -5,6 +5,7 @@
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
@@ -16,14 +17,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxunshear.angles import wrap_degrees
+from jaxunshear.config.data import Recorded
 from jaxunshear.config.targets import get_unit
 from jaxunshear.data.labels import name_labels
-from jaxunshear.data.recordings import read_recordings
+from jaxunshear.data.pairing import find_recorded_taps
+from jaxunshear.data.recorded_contacts import read_test_contacts
+from jaxunshear.data.recordings import read_image, read_recordings
 from jaxunshear.data.videos import is_video
+from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.readers import Predictions
 from jaxunshear.inference.trained_model import TrainedModel, load_model
 from jaxunshear.perception.pin_tracking import track_images
+from jaxunshear.perception.preprocess import prepare_frame
 from jaxunshear.perception.touch import NO_CONTACT_REASON, TouchGauge, measure_field
 from jaxunshear.selection import select_evenly
 from jaxunshear.style import encode_png
@@ -34,6 +40,8 @@ ROW_IN, DPI = 3.1, 100
 PANELS = (1.0, 1.0, 1.05, 1.35)  # widths: frame, unsheared, motion, words
 TITLES = ("the frame, black and white", "unsheared, as of a tap", "motion of the pins, mm")
 TAKEN_OUT = "taken_out"  # by unshearing, of the motion
+LABEL, TAP = "label", "tap"  # kinds of poses that show which estimate is right
+TAP_FOLDER = "tap"  # beside the slides
 COLOURS = {AS_RECORDED: "#8a93a3", UNSHEARED: "#1f6feb", TAKEN_OUT: "#d9822b"}
 KEYS = {
     AS_RECORDED: "as recorded",
@@ -78,19 +86,13 @@ def predict_frames(path: Path, model: TrainedModel) -> list[ShownFrame]:
     images = np.stack([frame.image for frame in frames])
     predictions = model.predict(images)
     motions = _measure_motions(model, images, predictions)
+    taps = predict_taps(path, [some.files[frame.row] for frame in frames], model)
     shown = []
     for i, frame in enumerate(frames):
-        reason, poses = str(predictions.rejection[i]), dict[str, dict[str, float]]()
-        for kind, values in predictions.poses.items() if not reason else ():
-            for name, value in values.items():
-                poses.setdefault(name, {})[kind] = float(value[i])
-        for name, kinds in poses.items():
-            if get_unit(name) == "deg" and kinds.keys() >= {AS_RECORDED, UNSHEARED}:
-                turned = wrap_degrees(np.array(kinds[AS_RECORDED] - kinds[UNSHEARED]))
-                kinds[AS_RECORDED] = kinds[UNSHEARED] + float(turned)  # 182 beside 179, not -178
-        # a name or two in common do not make labels those of the model's poses
-        for name in poses if poses.keys() <= labels.keys() else ():
-            poses[name]["label"] = float(labels[name][rows[frame.row]])
+        reason = str(predictions.rejection[i])
+        label = {name: float(values[rows[frame.row]]) for name, values in labels.items()}
+        tap = taps.get(some.files[frame.row], {})
+        poses = {} if reason else collect_poses(predictions, i, label, tap)
         unsheared = predictions.unsheared
         shown.append(
             ShownFrame(
@@ -104,6 +106,56 @@ def predict_frames(path: Path, model: TrainedModel) -> list[ShownFrame]:
             )
         )
     return shown
+
+
+def predict_taps(
+    path: Path, files: Sequence[Path], model: TrainedModel
+) -> dict[Path, dict[str, float]]:
+    """Have PoseNet read recorded taps at the poses of slides, by the files of the slides.
+
+    Taps lie at `path`, or in the folder `tap` beside it. Slides without such a tap are left out.
+    """
+    beside = path.resolve().parent / TAP_FOLDER
+    folder = beside if beside.is_dir() and not beside.samefile(path) else path
+    images: dict[Path, np.ndarray] = {}
+    with suppress(UserError):  # labels do not say which are taps, or a tap cannot be read
+        contacts = read_test_contacts(Recorded(tap_folder=str(folder), slide_folder=str(path)))
+        is_shown = np.array([file in files for file in contacts.files])
+        slides = np.flatnonzero(contacts.is_slide & is_shown)
+        for slide, tap in zip(slides, find_recorded_taps(contacts, slides), strict=True):
+            if tap >= 0:
+                raw = read_image(contacts.files[tap])
+                view = model.view or model.find_view(raw)
+                images[contacts.files[slide]] = prepare_frame(model.preprocess, raw, view)
+    if not images:
+        return {}
+    poses = model.predict(np.stack(list(images.values()))).poses.get(AS_RECORDED, {})
+    return {
+        file: {name: float(values[i]) for name, values in poses.items()}
+        for i, file in enumerate(images)
+    }
+
+
+def collect_poses(
+    predictions: Predictions, row: int, label: Mapping[str, float], tap: Mapping[str, float]
+) -> dict[str, dict[str, float]]:
+    """Collect poses by quantity and kind, and what is right: the label, or else the tap's pose.
+
+    Labels count if they have all quantities: a name or two in common do not make them comparable.
+    """
+    poses: dict[str, dict[str, float]] = {}
+    for kind, values in predictions.poses.items():
+        for name, value in values.items():
+            poses.setdefault(name, {})[kind] = float(value[row])
+    kind, right = (LABEL, label) if poses.keys() <= label.keys() else (TAP, tap)
+    for name, kinds in poses.items():
+        if np.isfinite(right.get(name, np.nan)):
+            kinds[kind] = right[name]
+        if get_unit(name) == "deg":  # 182 beside 179, not -178
+            angles = np.array(list(kinds.values()))
+            near_last = angles[-1] + wrap_degrees(angles - angles[-1])
+            kinds |= zip(kinds, near_last.tolist(), strict=True)
+    return poses
 
 
 def _measure_motions(

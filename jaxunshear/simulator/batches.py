@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.config.sensor import Sensor, compute_ring_arcs, compute_ring_spacing
-from jaxunshear.progress import Progress
+from jaxunshear.progress import Counter
 from jaxunshear.simulator.contact_problem import (
     ContactProblem,
     NodeCounts,
@@ -58,7 +58,7 @@ def solve_batches(
     simulation: Simulation,
     paths: Paths,
     start: Skins | None,
-    progress: Progress | None = None,
+    progress: Counter | None = None,
     wide: bool = False,
 ) -> BatchResult:
     """Solve B paths batch by batch, and return contacts and skins at their ends in order.

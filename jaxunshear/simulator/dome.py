@@ -30,7 +30,7 @@ from jaxunshear.config.sensor import (
 )
 from jaxunshear.errors import UserError
 from jaxunshear.files import cache_folder
-from jaxunshear.progress import Progress
+from jaxunshear.progress import Counter, Progress
 from jaxunshear.simulator.elasticity import (
     Compliance,
     HarmonicResponse,
@@ -53,9 +53,18 @@ def load_shared_dome(sensor: Sensor) -> Compliance:
     return load_dome(sensor)
 
 
-def load_dome(sensor: Sensor) -> Compliance:
-    """Load the compliance of a sensor's contact nodes and pins, or compute and cache it."""
-    return sum_harmonics(_load_response(sensor, varied=False))
+def load_dome(sensor: Sensor, progress: Counter | None = None) -> Compliance:
+    """Load the compliance of a sensor's contact nodes and pins, or compute and cache it.
+
+    Computing it advances `progress` by `count_dome_steps`; without one it shows a bar of its own.
+    """
+    return sum_harmonics(_load_response(sensor, varied=False, progress=progress))
+
+
+def count_dome_steps(sensor: Sensor) -> int:
+    """Count the steps in which `load_dome` computes: 0 if the dome is in the cache."""
+    path, _ = _name_file(sensor, varied=False)
+    return 0 if path.is_file() else _count_harmonics(sensor) + 1
 
 
 def load_sensitivity(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
@@ -76,7 +85,7 @@ def _mesh_mm(sensor: Sensor) -> float:
     return MESH_MM * compute_ring_spacing(sensor) / RING_MM
 
 
-def _compute(sensor: Sensor, varied: bool, progress: Progress | None = None) -> HarmonicResponse:
+def _compute(sensor: Sensor, varied: bool, progress: Counter | None = None) -> HarmonicResponse:
     check_sensor(sensor)
     mesh = make_dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, _mesh_mm(sensor))
     gel = compute_isotropic_stiffness(sensor.gel_modulus_mpa, sensor.gel_poisson)
@@ -95,7 +104,8 @@ def _count_harmonics(sensor: Sensor) -> int:
     return 6 * (len(compute_ring_arcs(sensor)) - 1)
 
 
-def _load_response(sensor: Sensor, varied: bool) -> HarmonicResponse:
+def _name_file(sensor: Sensor, varied: bool) -> tuple[Path, str]:
+    """Name the cache file of a sensor, and the settings that it belongs to."""
     check_sensor(sensor)
     settings = {
         **describe_sensor(sensor),
@@ -107,24 +117,34 @@ def _load_response(sensor: Sensor, varied: bool) -> HarmonicResponse:
     }
     text = json.dumps(settings, sort_keys=True)
     name = re.sub(r"[^A-Za-z0-9._-]", "_", sensor.name)[:40]
-    path = cache_folder() / f"dome-{name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}.bin"
+    digest = hashlib.sha256(text.encode()).hexdigest()[:16]
+    return cache_folder() / f"dome-{name}-{digest}.bin", text
+
+
+def _load_response(
+    sensor: Sensor, varied: bool, progress: Counter | None = None
+) -> HarmonicResponse:
+    path, text = _name_file(sensor, varied)
     try:
         return _read(path, text)
     except (FileNotFoundError, NotADirectoryError):
         pass
     except _BROKEN as error:
         print(f"the cache file {path} is of no use ({error}): it is made again", file=sys.stderr)
-    return _make_file(path, text, sensor, varied)
+    return _make_file(path, text, sensor, varied, progress)
 
 
-def _make_file(path: Path, settings: str, sensor: Sensor, varied: bool) -> HarmonicResponse:
+def _make_file(
+    path: Path, settings: str, sensor: Sensor, varied: bool, progress: Counter | None
+) -> HarmonicResponse:
     part = path.with_name(f"{path.name}.{uuid.uuid4().hex}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part.touch()  # before the work: a folder that cannot be written to is reported at once
         steps = _count_harmonics(sensor) + 1
-        with Progress(f"dome of {sensor.name}", steps, unit="harmonics") as progress:
-            response = _compute(sensor, varied, progress)
+        own = Progress(f"dome of {sensor.name}", steps, unit="harmonics")
+        with own if progress is None else contextlib.nullcontext(progress) as counter:
+            response = _compute(sensor, varied, counter)
         stream = io.BytesIO()
         np.savez(stream, settings=np.array(settings), **asdict(response))
         data = stream.getvalue()

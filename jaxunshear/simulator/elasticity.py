@@ -30,7 +30,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from threadpoolctl import threadpool_limits
 
 from jaxunshear.errors import UserError
-from jaxunshear.progress import Progress
+from jaxunshear.progress import Counter
 from jaxunshear.simulator.harmonics import (
     compute_node_compliance,
     compute_point_compliance,
@@ -240,7 +240,7 @@ def compute_response(
     pins: Pins,
     harmonics: int,
     varied: Bool[np.ndarray, "E"] | None = None,
-    progress: Progress | None = None,
+    progress: Counter | None = None,
 ) -> HarmonicResponse:
     """Compute the response of each harmonic to loads on rings.
 

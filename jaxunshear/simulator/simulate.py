@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
-from jaxunshear.progress import Progress
+from jaxunshear.progress import Counter
 from jaxunshear.simulator.batches import make_undeformed_contacts, solve_batches
 from jaxunshear.simulator.contacts import (
     Contacts,
@@ -35,7 +35,7 @@ def simulate(
     level: str | Level = "auto",
     batch: int = BATCH,
     retry: bool = True,
-    progress: Progress | None = None,
+    progress: Counter | None = None,
 ) -> Contacts:
     """Solve the contacts of B scenes and return them in the order given.
 
@@ -80,7 +80,7 @@ def _follow(
     paths: Paths,
     start: Skins | None,
     stronger: str | None,
-    progress: Progress | None = None,
+    progress: Counter | None = None,
 ) -> tuple[Contacts, Skins]:
     """Follow paths, and again at the level `stronger` where they do not converge."""
     _check(simulation, paths, start)

@@ -67,6 +67,7 @@ def test_rows(bench, monkeypatch):
     ours, *others = bench()
     assert ours["name"] == "jaxunshear" and ours["images_per_s"] > 0 and ours["share"] > 0
     assert ours["images_per_s"] == pytest.approx(1e3 / ours["ms_per_image"])
+    assert ours["ratio"] == 1
     for row in others:
         forms = ("jaxunshear, XLA alone", "jaxunshear, plain layers")
         is_other = row["name"].startswith("pytorch") or row["name"] == "onnxruntime"

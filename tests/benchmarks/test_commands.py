@@ -80,6 +80,7 @@ def test_rows_are_written_with_the_command_and_the_rivals_versions(
     )
     answer = benchmarks("train", "--size", "64", "--json", file)
     written = json.loads(file.read_text())
-    assert (answer.code, answer.out) == (0, "a table\n") and asked == [("torch",)]
+    assert (answer.code, answer.out) == (0, "a table\ndevice: cpu: cpu\n")
+    assert asked == [("torch",)]
     assert written["rows"] == rows
     assert written["command"] == f"python -m benchmarks train --size 64 --json {file}"

@@ -3,18 +3,23 @@
 import io
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from jaxunshear.cli import first_steps
+from jaxunshear.config.sensor import Preprocess
+from jaxunshear.data.recordings import find_common_view, read_image
 from jaxunshear.report.show import (
     PNG_SOFTWARE,
     ShownFrame,
+    collect_poses,
     describe_touch,
     format_poses,
     plot_frames,
+    predict_taps,
 )
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
@@ -51,6 +56,51 @@ def test_poses_have_units_and_labels():
     assert lines[1].split() == ["y,", "mm", "1.00", "1.50"]
     assert lines[2].split() == ["Rz,", "deg", "2.00", "-"]
     assert format_poses({}) == []
+
+
+@pytest.mark.parametrize(
+    ("label", "expected"),
+    [
+        ({"y_mm": 5.0, "Rz_deg": -178.0}, {"label": 5.0}),
+        ({"y_mm": 5.0}, {"tap": 6.0}),  # another frame has a quantity of the same name
+        ({"y_mm": np.nan, "Rz_deg": np.nan}, {}),
+    ],
+)
+def test_what_is_right_stands_beside_the_estimates(label, expected):
+    kinds = {"as_recorded": (1.0, 178.0), "unsheared": (2.0, -179.0)}
+    estimates = {
+        kind: {"y_mm": np.array([0.0, y]), "Rz_deg": np.array([0.0, turn])}
+        for kind, (y, turn) in kinds.items()
+    }
+    tap = {"y_mm": 6.0, "Rz_deg": 181.0}
+    poses = collect_poses(SimpleNamespace(poses=estimates), 1, label, tap)
+    assert poses["y_mm"] == {"as_recorded": 1.0, "unsheared": 2.0} | expected
+    angles = list(poses["Rz_deg"].values())
+    assert np.ptp(angles) <= 4 and len(angles) == 2 + len(expected)
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_taps_at_the_poses_of_slides_are_found(tmp_path, together):
+    """In a folder beside the slides', or in one folder with them."""
+    pose, move = made.contacts(3, True, 0)
+    tap_pose = np.concatenate([pose[:2], pose[2:] + 1.0])  # the last is of another pose
+    made.write(tmp_path / "tap", tap_pose, 0 * move)
+    slides = made.write(tmp_path / "shear", pose, move) / "images"
+    files = sorted(slides.glob("*.png"))
+    model = SimpleNamespace(
+        preprocess=Preprocess(size=made.SIZE),
+        view=find_common_view(files, Preprocess(size=made.SIZE)),
+        predict=lambda images: SimpleNamespace(
+            poses={"as_recorded": {"edge_mm": images.mean(axis=(1, 2))}}
+        ),
+    )
+    path = tmp_path if together else tmp_path / "shear"
+    found = predict_taps(path, files, model)
+    assert list(found) == files[:2]
+    for file, read in found.items():
+        tap = read_image(tmp_path / "tap" / "images" / file.name)
+        assert read["edge_mm"] == pytest.approx(tap.mean(), rel=0.05)
+    assert predict_taps(files[0], files[:1], model) == {}
 
 
 def test_frames_of_both_kinds_are_drawn():

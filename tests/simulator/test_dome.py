@@ -25,7 +25,13 @@ from jaxunshear.config.sensor import (
 )
 from jaxunshear.errors import UserError
 from jaxunshear.simulator import elasticity
-from jaxunshear.simulator.dome import VERSION, compute_dome, load_dome, load_sensitivity
+from jaxunshear.simulator.dome import (
+    VERSION,
+    compute_dome,
+    count_dome_steps,
+    load_dome,
+    load_sensitivity,
+)
 from jaxunshear.simulator.harmonics import make_sixfold_permutations
 from jaxunshear.simulator.pin_layout import compute_pin_levers, compute_pin_tips
 
@@ -219,6 +225,20 @@ def test_a_damaged_cache_file_is_reported_and_made_again(stored, small, capsys, 
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "made again" in line]
     assert str(stored) in line and reason in line
     assert stored.read_bytes() == full and len(list(stored.parent.iterdir())) == 1
+
+
+def test_a_progress_of_others_counts_what_is_computed(cache, small, capsys):
+    counted: list[float] = []
+
+    class Work:
+        def advance(self, n=1):
+            counted.append(n)
+
+    steps = count_dome_steps(SMALL)
+    load_dome(SMALL, Work())
+    assert sum(counted) == steps > 1 and count_dome_steps(SMALL) == 0
+    load_dome(SMALL, Work())
+    assert sum(counted) == steps and capsys.readouterr().err == ""
 
 
 def test_other_settings_have_other_files(stored):
