@@ -82,7 +82,9 @@ def test_few_examples_are_repeated_up_to_the_least_number_of_steps(straight, tmp
     longer = small.train(
         tmp_path / "longer", training=dataclasses.replace(small.TRAINING, min_steps=16)
     )
-    assert (longer.steps, longer.images) == (16, 64) and lines(tmp_path / "longer")[-1]["epoch"] == 4
+    assert (longer.steps, longer.images) == (16, 64) and lines(tmp_path / "longer")[-1][
+        "epoch"
+    ] == 4
     same = small.train(
         tmp_path / "same", training=dataclasses.replace(small.TRAINING, min_steps=summary.steps)
     )
