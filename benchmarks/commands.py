@@ -81,6 +81,11 @@ COMMANDS = {
         "bench_touch",
         ("seed", "weights", "recordings"),
     ),
+    "contacts": Benchmark(
+        "errors over the number of taps and slides that a training has",
+        "bench_contacts",
+        ("recordings", "seed"),
+    ),
     "demo": Benchmark("how long each stage of `make demo` takes, installs apart", "bench_demo"),
     "explore": Benchmark("how long a picture of `jaxunshear explore` takes", "bench_explore"),
 }

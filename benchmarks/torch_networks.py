@@ -218,7 +218,7 @@ def make_training_step(
     tensors = [*twin.parameters(), *(b for b in twin.buffers() if b.is_floating_point())]
     average = [tensor.detach().clone() for tensor in tensors]
     adam = torch.optim.Adam(
-        twin.parameters(), training.learning_rate, (training.beta1, training.beta2), fused=True
+        twin.parameters(), training.learning_rate, (training.beta1, 0.999), fused=True
     )
     compute = torch.compile(compute_losses, dynamic=False) if compiled else compute_losses
 

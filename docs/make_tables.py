@@ -33,6 +33,10 @@ TABLES = {
         recorded_tables.tabulate_few_labels,
         recorded_tables.tabulate_simulated_slides,
     ),
+    "docs/how-many-contacts.md": (
+        partial(recorded_tables.tabulate_contacts, "edge_2d"),
+        partial(recorded_tables.tabulate_contacts, "surface_3d"),
+    ),
     "docs/several-tasks.md": (recorded_tables.tabulate_tasks,),
     "docs/skin.md": (recorded_tables.tabulate_released_skin, recorded_tables.tabulate_transfer),
     "docs/unshear-or-directly.md": (

@@ -22,7 +22,8 @@ from jaxunshear.results.measurement import Source
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
-NAMES = ("name", "claim", "digest", "tap_folder", "slide_folder")  # settings that decide no figure
+# settings that decide no figure; all results that lack min_steps had more steps
+NAMES = ("name", "claim", "digest", "tap_folder", "slide_folder", "min_steps")
 IDLE = {  # settings of results that are gone, at the values at which they did nothing
     "shear_noise": 0.0,
     "residual": 0,
@@ -31,6 +32,7 @@ IDLE = {  # settings of results that are gone, at the values at which they did n
     "hidden_pins": 0.0,
     "label_weight": 0.0,
     "precision": "float32",
+    "beta2": 0.999,
 }
 LOSSES_0_2 = {  # weights of losses in the settings of version 0.2.0, and the losses
     "patch_weight": "patch",

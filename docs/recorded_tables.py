@@ -1,6 +1,7 @@
 """Tables of networks on recordings of a real sensor."""
 
 from collections.abc import Mapping, Sequence
+from statistics import fmean
 
 from docs.reading import (
     format_figures,
@@ -34,6 +35,11 @@ TASK_ROWS = {
     "unsheared by a network of the task alone": "own",
     "**unsheared by the joint network**": "unsheared",
     "slides, by a PoseNet that learnt from labelled slides": "sheared_learnt",
+}
+CONTACT_ROWS = {
+    "taps": "tap",
+    "**slides unsheared**": "unsheared",
+    "slides, directly": "sheared_learnt",
 }
 TASK_TITLES = {"edge_2d": "edge", "surface_3d": "surface"}
 OTHER = "other recordings (locked)"
@@ -120,6 +126,25 @@ def tabulate_tasks() -> str:
     lines = start_table(format_line("a PoseNet of the task reads", heads))
     for label, kind in TASK_ROWS.items():
         lines.append(format_line(label, [_format_task(runs, *each, kind) for each in columns]))
+    return "\n".join(lines)
+
+
+def tabulate_contacts(recordings: str) -> str:
+    """Tabulate errors over the number of taps and slides: mean and range of seeds."""
+    runs = load_runs("contacts", recordings)
+    sizes = list(dict.fromkeys(row["contacts"] for row in runs[0].values()))
+    targets = [name for name in next(iter(runs[0].values())) if name.endswith(("_mm", "_deg"))]
+    lines = start_table(format_line("taps, and as many slides", [f"{size:,}" for size in sizes]))
+    for target in targets:
+        digits = 3 if target.endswith("_mm") else 2
+        for label, kind in CONTACT_ROWS.items():
+            values = [[run[f"{size}/{kind}"][target] for run in runs] for size in sizes]
+            cells = [format_range(each, digits) for each in values]
+            lines.append(format_line(f"{_name_target(target)}: {label}", cells))
+    seconds = [[run[f"{size}/tap"]["train_s"] for run in runs] for size in sizes]
+    lines.append(
+        format_line("minutes on one core", [f"{fmean(each) / 60:.0f}" for each in seconds])
+    )
     return "\n".join(lines)
 
 

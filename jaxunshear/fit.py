@@ -64,7 +64,12 @@ BASE_EXPERIMENT = Experiment(
     ),
     # chosen on validation contacts of an edge
     train_pins=replace(
-        PIN_TRAINING, epochs=25, optimiser="muon", learning_rate=1e-2, validate_every=250
+        PIN_TRAINING,
+        epochs=25,
+        min_steps=500,
+        optimiser="muon",
+        learning_rate=1e-2,
+        validate_every=250,
     ),
 )
 

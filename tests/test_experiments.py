@@ -143,7 +143,7 @@ def test_paper_is_appendix_b():
         (paper.train, 32, 100, ((40, 0.2), (80, 0.1))),
         (paper.train_posenet, 256, 250, ((100, 0.5), (200, 0.1))),
     ):
-        assert (training.learning_rate, training.beta1, training.beta2) == (1e-4, 0.5, 0.999)
+        assert (training.learning_rate, training.beta1) == (1e-4, 0.5)
         assert (training.batch, training.epochs) == (batch, epochs)
         assert (training.schedule, training.drops) == ("steps", drops)
         assert (training.l1, training.l2, training.kernels) == (1e-3, 1e-3, "mean")

@@ -30,6 +30,8 @@ class Training:
     """Losses, optimiser and schedule of one network (paper section 3.3, appendix B)."""
 
     epochs: Positive = 6.0  # passes through the training examples
+    # fewer steps than these are filled up by more passes, for small sets
+    min_steps: Count = 1
     batch: Count = 16  # examples of a step
     # the optimiser: "adam", the paper's; or "muon", which takes the same learning rates and gets
     # further with each image
@@ -41,7 +43,6 @@ class Training:
     # decay of Adam's first moment; with "muon" Adam trains the first and last layers, biases and
     # normalisation
     beta1: Fraction = 0.5
-    beta2: Fraction = 0.999  # decay of Adam's second moment
     l1: NotNegative = 0.0  # weight of |w|, added up over all convolution and dense kernels
     l2: NotNegative = 0.0  # weight of w^2, added up over all convolution and dense kernels
     # how l1 and l2 reduce a kernel: "sum" over its weights, as Keras does; "mean", which does not

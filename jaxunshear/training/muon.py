@@ -27,9 +27,7 @@ RMS = 0.2
 MAX_READOUT_WIDTH = 8  # kernels with fewer outputs
 
 
-def muon(
-    learning_rate: optax.ScalarOrSchedule, beta1: float, beta2: float
-) -> optax.GradientTransformation:
+def muon(learning_rate: optax.ScalarOrSchedule, beta1: float) -> optax.GradientTransformation:
     """Make Muon for the inner kernels, and Adam for all other weights, as is usual.
 
     These are the kernels of the first and the last layer, biases and normalisation.
@@ -40,7 +38,7 @@ def muon(
         optax.scale_by_learning_rate(learning_rate),
     )
     return optax.partition(
-        {"muon": inner, "adam": optax.adam(learning_rate, beta1, beta2)}, _label_weights
+        {"muon": inner, "adam": optax.adam(learning_rate, beta1)}, _label_weights
     )
 
 

@@ -44,7 +44,7 @@ def make_optimiser(
     """Make Adam or Muon with the schedule of `training`."""
     make = {"adam": optax.adam, "muon": muon}[training.optimiser]
     schedule = make_schedule(training, steps, steps_per_epoch)
-    return make(schedule, training.beta1, training.beta2)
+    return make(schedule, training.beta1)
 
 
 def init_state(variables: Tree, optimiser: optax.GradientTransformation) -> State:

@@ -118,7 +118,7 @@ def train(
     if (folder / checkpoint.SUMMARY).exists():
         return record_files.read_record(folder / checkpoint.SUMMARY, TrainingSummary, RESUME_REMEDY)
     steps_per_epoch = data.epoch_images / training.batch
-    steps = max(1, round(training.epochs * steps_per_epoch))
+    steps = max(training.min_steps, round(training.epochs * steps_per_epoch))
     devices = get_devices(training.batch)
     run = TrainingRun(task, training, steps, steps_per_epoch, folder, devices)
     keep_freed_memory()

@@ -10,8 +10,16 @@ from tests.recordings import made
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY, RECORDED = ROOT / "experiments" / "tiny.py", ROOT / "experiments" / "recorded.py"
-_EPOCHS = ("--train_pins.epochs", "2", "--train_pins.validate_every", "8")
-PINS = ("--unshear.input", "pins", "--train_pins.batch", "16", *_EPOCHS)
+_EPOCHS = ("--train_pins.epochs", "2", "--train_pins.min_steps", "1")
+PINS = (
+    "--unshear.input",
+    "pins",
+    "--train_pins.batch",
+    "16",
+    *_EPOCHS,
+    "--train_pins.validate_every",
+    "8",
+)
 
 
 class Places(NamedTuple):

@@ -398,7 +398,7 @@ def test_images_take_the_same_road(command, recording, place, tmp_path):
     small = [f"--{name}.size=32" for name in ("paired.preprocess", "unshear", "posenet")]
     small += ["--unshear.widths=4,4", "--unshear.pose_channels=4", "--unshear.shear_channels=4"]
     small += ["--posenet.widths=4,4,4,4,4", "--posenet.hidden=8", "--train.epochs=0.2"]
-    small += ["--train_posenet.epochs=0.5", "--train_pins.epochs=1"]
+    small += ["--train_posenet.epochs=0.5", "--train_pins.epochs=1", "--train_pins.min_steps=1"]
     places = ("--out", tmp_path / "runs", "--data", place / "datasets")
     words = ("run", EXPERIMENT, "--recordings", recording, "--name", "images", *places)
     answer = command(*words, *small)

@@ -77,6 +77,20 @@ def test_summary_log_and_settings(straight):
     assert checkpoint.read_net(folder) == small.NET
 
 
+def test_few_examples_are_repeated_up_to_the_least_number_of_steps(straight, tmp_path):
+    folder, summary = straight
+    longer = small.train(
+        tmp_path / "longer", training=dataclasses.replace(small.TRAINING, min_steps=16)
+    )
+    assert (longer.steps, longer.images) == (16, 64) and lines(tmp_path / "longer")[-1][
+        "epoch"
+    ] == 4
+    same = small.train(
+        tmp_path / "same", training=dataclasses.replace(small.TRAINING, min_steps=summary.steps)
+    )
+    assert same.steps == summary.steps and bits(tmp_path / "same") == bits(folder)
+
+
 def test_a_finished_training_returns_at_once(straight):
     folder, summary = straight
     assert small.train(folder, lambda start: pytest.fail("no data are needed")) == summary

@@ -136,7 +136,7 @@ def test_the_papers_start_is_that_of_its_experiment():
     ours = network_trainings.PAPER
     assert paper.unshear == network_trainings.PAPER_NET
     assert paper.posenet == network_trainings.PAPER_POSENET
-    shared = ("optimiser", "learning_rate", "beta1", "beta2", "l1", "l2", "kernels", "ema_decay")
+    shared = ("optimiser", "learning_rate", "beta1", "l1", "l2", "kernels", "ema_decay")
     for fields, theirs in (
         (("losses", "crops", "crop_px", *shared), paper.train),
         (shared, paper.train_posenet),
