@@ -86,6 +86,11 @@ COMMANDS = {
         "bench_contacts",
         ("recordings", "seed"),
     ),
+    "adapt": Benchmark(
+        "what `jaxunshear adapt` is worth if the camera has moved",
+        "bench_adapt",
+        ("recordings", "seed"),
+    ),
     "demo": Benchmark("how long each stage of `make demo` takes, installs apart", "bench_demo"),
     "explore": Benchmark("how long a picture of `jaxunshear explore` takes", "bench_explore"),
 }

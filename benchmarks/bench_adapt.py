@@ -1,0 +1,86 @@
+"""Measures what `jaxunshear adapt` is worth if the camera has moved.
+
+A network over pins learns from contacts of recordings. Then the images of other contacts are moved,
+as a camera would that was shifted, turned or brought nearer, and the network is scored on them: as
+it is, and adapted by 50 taps that were moved alike. `held` is the share of errors of unsheared
+slides that lie within the half-widths of 95 %.
+"""
+
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from benchmarks.drawn_contacts import TEST, draw_contacts, score, train, write_contacts
+from jaxunshear.adapt import adapt
+from jaxunshear.angles import rotation_2d
+from jaxunshear.files import Json
+from jaxunshear.results.run import Results
+from jaxunshear.text_table import format_text_table
+
+LEARNT = 3000  # taps, and as many slides
+TAPS = 50  # of `adapt`
+
+
+class Move(NamedTuple):
+    """How images move: down and to the right by px, then about their middle."""
+
+    shift_px: tuple[float, float] = (0.0, 0.0)
+    turn_deg: float = 0.0
+    scale: float = 1.0
+
+
+MOVES = {
+    "half a pixel": Move((0.3, -0.4)),
+    "two pixels": Move((1.2, -1.6)),
+    "1 deg": Move(turn_deg=1.0),
+    "1 % larger": Move(scale=1.01),
+    "all": Move((1.2, -1.6), 1.0, 1.01),
+}
+
+
+def format_table(rows: list[Json]) -> str:
+    """Format rows as text; the columns are those of the labels that vary."""
+    return format_text_table(rows, columns=tuple(rows[0]))
+
+
+def bench_adapt(recordings: Path | None = None, seed: int = 0) -> list[Json]:
+    """Return a row for unmoved images, and two for each of MOVES: errors in mm and deg.
+
+    `seed` draws contacts and weights. Raises UserError if recordings hold too few contacts.
+    """
+    contacts = draw_contacts(recordings, TEST + TAPS + LEARNT, seed)
+    with TemporaryDirectory() as name:
+        place = Path(name)
+        write_contacts(place / "learnt", contacts, slice(TEST + TAPS, TEST + TAPS + LEARNT))
+        write_contacts(place / "test", contacts, slice(TEST))
+        run = train(place, "learnt", seed, "evaluate")
+        rows = [_make_row("not moved", score(place, run, "test"))]
+        for name, move in MOVES.items():
+            change, test, taps = partial(move_image, move=move), f"test {name}", f"taps {name}"
+            write_contacts(place / test, contacts, slice(TEST), change)
+            write_contacts(place / taps, contacts, slice(TEST, TEST + TAPS), change)
+            rows.append(_make_row(f"{name}/as it is", score(place, run, test)))
+            adapted = place / "adapted" / name.replace(" ", "_").replace("%", "percent")
+            adapt(run, place / taps / "tap", adapted, place / "datasets")
+            rows.append(_make_row(f"{name}/adapted", score(place, adapted, test)))
+    return rows
+
+
+def _make_row(name: str, results: Results) -> Json:
+    held = (results.coverage or {})["unsheared"]
+    shares = {f"held_{target}": share for target, share in held.items()}
+    return {"name": name} | dict(results.pose_mae["unsheared"]) | shares
+
+
+def move_image(image: np.ndarray, move: Move) -> np.ndarray:
+    """Move an image (H, W) or (H, W, C) uint8; what comes in at the border repeats the border."""
+    middle = (np.array(image.shape[:2]) - 1) / 2
+    back = rotation_2d(-np.radians(move.turn_deg)) / move.scale
+    matrix, shift = np.eye(image.ndim), np.zeros(image.ndim)
+    matrix[:2, :2] = back
+    shift[:2] = middle - back @ (middle + np.array(move.shift_px))
+    return ndimage.affine_transform(image, matrix, shift, order=1, mode="nearest")
