@@ -28,7 +28,10 @@ TABLES = {
         recorded_tables.tabulate_surface_benchmark,
     ),
     "docs/pairings.md": (recorded_tables.tabulate_pairings,),
-    "docs/another-day.md": (recorded_tables.tabulate_other_recordings,),
+    "docs/another-day.md": (
+        recorded_tables.tabulate_other_recordings,
+        recorded_tables.tabulate_adapted,
+    ),
     "docs/few-labels.md": (
         recorded_tables.tabulate_few_labels,
         recorded_tables.tabulate_simulated_slides,

@@ -43,6 +43,7 @@ CONTACT_ROWS = {
 }
 TASK_TITLES = {"edge_2d": "edge", "surface_3d": "surface"}
 OTHER = "other recordings (locked)"
+HELD = "share of z within the 95 % half-widths: as it is | adapted"
 SHARES = ("0.01", "0.05", "0.1", "0.3", "1.0")
 UNLABELLED = ("left_out", "pseudo_label")
 LEARNT = (
@@ -141,11 +142,28 @@ def tabulate_contacts(recordings: str) -> str:
             values = [[run[f"{size}/{kind}"][target] for run in runs] for size in sizes]
             cells = [format_range(each, digits) for each in values]
             lines.append(format_line(f"{_name_target(target)}: {label}", cells))
-    seconds = [[run[f"{size}/tap"]["train_s"] for run in runs] for size in sizes]
-    lines.append(
-        format_line("minutes on one core", [f"{fmean(each) / 60:.0f}" for each in seconds])
-    )
     return "\n".join(lines)
+
+
+def tabulate_adapted() -> str:
+    """Tabulate errors on moved images of a run as it is and adapted: means of the seeds."""
+    runs = load_runs("adapt")
+    heads = [f"{_name_target(target)}: as it is | adapted" for target in EDGE_TARGETS]
+    lines = start_table(format_line("the image is moved by", [*heads, HELD]))
+    moves = list(dict.fromkeys(name.partition("/")[0] for name in runs[0]))
+    for move in moves:
+        names = [name for name in runs[0] if name.partition("/")[0] == move]
+        cells = [
+            " | ".join(_format_mean(runs, name, target, digits) for name in (names[0], names[-1]))
+            for target, digits in EDGE_TARGETS.items()
+        ]
+        held = [_format_mean(runs, name, "held_z_mm", 2) for name in (names[0], names[-1])]
+        lines.append(format_line(move, [*cells, " | ".join(held)]))
+    return "\n".join(lines)
+
+
+def _format_mean(runs: Sequence[Mapping[str, Json]], name: str, field: str, digits: int) -> str:
+    return f"{fmean(run[name][field] for run in runs):.{digits}f}"
 
 
 def _load_tasks() -> list[Json]:
