@@ -204,7 +204,8 @@ def tabulate_simulated_slides() -> str:
     for name, key in (("taps", "taps: pose/tap"), ("slides as recorded", "pose/sheared")):
         errors = format_figures(metrics["simulated"], targets, f"{key}/")
         lines.append(format_line(name, ["taps", *errors]))
-    for name, key in (("slides unsheared", "disentangled"), ("slides, direct prediction", "sheared_learnt")):
+    kinds = {"disentangled": "slides unsheared", "sheared_learnt": "slides, direct prediction"}
+    for key, name in kinds.items():
         for source, shown in SOURCES.items():
             errors = format_figures(metrics[source], targets, f"pose/{key}/")
             lines.append(format_line(name, [f"taps and {shown}", *errors]))
