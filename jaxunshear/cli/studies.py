@@ -203,8 +203,8 @@ def adapt(arguments: argparse.Namespace, command: str) -> int:
     moved = adapt(arguments.run, arguments.taps, arguments.out, arguments.data)
     shift, rings = moved.shift_px, moved.ring_px
     print(
-        f"pins stand ({shift[0]:.2f}, {shift[1]:.2f}) px elsewhere, turned by "
-        f"{moved.turn_deg:.2f} deg, and up to {abs(rings).max():.2f} px in or out"
+        f"pins are shifted by ({shift[0]:.2f}, {shift[1]:.2f}) px, turned by "
+        f"{moved.turn_deg:.2f} deg, and moved by up to {abs(rings).max():.2f} px in or out"
     )
     print(arguments.out)
     return 0
