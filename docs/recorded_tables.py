@@ -47,10 +47,10 @@ HELD = "share of z within the 95 % half-widths: as it is | adapted"
 SHARES = ("0.01", "0.05", "0.1", "0.3", "1.0")
 UNLABELLED = ("left_out", "pseudo_label")
 LEARNT = (
-    "directly",
+    "direct",
     "unsheared",
-    "directly, pins turned",
-    "unsheared, pins turned, the others read",
+    "direct, rotation",
+    "unsheared, rotation and pseudo-labels",
 )
 BENCHMARK_ROWS = {
     "slides as recorded, by a PoseNet that learnt from taps": "sheared",
@@ -238,7 +238,7 @@ def tabulate_pairings() -> str:
 def tabulate_simulated_slides() -> str:
     """Tabulate errors on recorded slides by the slides that the network learnt from."""
     targets = {"y_mm": 2, "z_mm": 2, "Rz_deg": 1}
-    lines = start_table("| read | learnt from | y, mm | z, mm | Rz, deg |")
+    lines = start_table("| poses of | networks learnt from | y, mm | z, mm | Rz, deg |")
     metrics = {}
     for source in SOURCES:
         metrics[source] = next(
@@ -247,7 +247,8 @@ def tabulate_simulated_slides() -> str:
     for name, key in (("taps", "taps: pose/tap"), ("slides as recorded", "pose/sheared")):
         errors = format_figures(metrics["simulated"], targets, f"{key}/")
         lines.append(format_line(name, ["taps", *errors]))
-    for name, key in (("slides unsheared", "disentangled"), ("slides, directly", "sheared_learnt")):
+    kinds = {"disentangled": "slides unsheared", "sheared_learnt": "slides, direct prediction"}
+    for key, name in kinds.items():
         for source, shown in SOURCES.items():
             errors = format_figures(metrics[source], targets, f"pose/{key}/")
             lines.append(format_line(name, [f"taps and {shown}", *errors]))

@@ -86,8 +86,8 @@ def layout(arguments: argparse.Namespace, command: str) -> int:
 
 @define_command(
     "fit the simulator's camera, pins, friction and stiffness to recordings",
-    path("recordings", "RECORDINGS", "a folder of recordings"),
-    path("--out", "DIR", "folder for figures"),
+    path("recordings", "RECORDINGS", "a folder of labelled recordings"),
+    path("--out", "DIR", "folder for calibration.json, its tables and a picture"),
     json_file(ROWS),
 )
 def calibrate(arguments: argparse.Namespace, command: str) -> int:
@@ -203,8 +203,8 @@ def adapt(arguments: argparse.Namespace, command: str) -> int:
     moved = adapt(arguments.run, arguments.taps, arguments.out, arguments.data)
     shift, rings = moved.shift_px, moved.ring_px
     print(
-        f"pins stand ({shift[0]:.2f}, {shift[1]:.2f}) px elsewhere, turned by "
-        f"{moved.turn_deg:.2f} deg, and up to {abs(rings).max():.2f} px in or out"
+        f"pins are shifted by ({shift[0]:.2f}, {shift[1]:.2f}) px, turned by "
+        f"{moved.turn_deg:.2f} deg, and moved by up to {abs(rings).max():.2f} px in or out"
     )
     print(arguments.out)
     return 0
