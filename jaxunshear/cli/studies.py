@@ -86,8 +86,8 @@ def layout(arguments: argparse.Namespace, command: str) -> int:
 
 @define_command(
     "fit the simulator's camera, pins, friction and stiffness to recordings",
-    path("recordings", "RECORDINGS", "a folder of recordings"),
-    path("--out", "DIR", "folder for figures"),
+    path("recordings", "RECORDINGS", "a folder of labelled recordings"),
+    path("--out", "DIR", "folder for calibration.json, its tables and a picture"),
     json_file(ROWS),
 )
 def calibrate(arguments: argparse.Namespace, command: str) -> int:
