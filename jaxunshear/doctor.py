@@ -254,7 +254,7 @@ def _choose_command(
     slides = sum(each.labels.slides for each in usable)
     named = () if file is None else ("--layout", file)
     if taps and slides:
-        folders = ("--taps", path, "--slides", path)
+        folders = _find_taps_and_slides(path, usable)
         return _join("fit", *folders, *named, "--unshear.input", "pins"), ""
     if taps or slides:
         advice = "these networks learn to read poses, not to unshear"
@@ -264,6 +264,15 @@ def _choose_command(
     if file is None:
         return _choose_inference(path, usable, pins.layout)
     return _join("pins", path, *named), "training needs labels of poses, which these frames lack"
+
+
+def _find_taps_and_slides(path: Path, usable: Sequence[FolderCheck]) -> tuple[str | Path, ...]:
+    """Find the arguments of `fit`: a folder of taps and one of slides, or else `path` for both."""
+    taps = [path / each.name for each in usable if not each.labels.slides]
+    slides = [path / each.name for each in usable if not each.labels.taps]
+    if len(taps) == len(slides) == 1 and len(usable) == 2:
+        return "--taps", taps[0], "--slides", slides[0]
+    return "--taps", path, "--slides", path
 
 
 def _explain_pins(pins: PinCheck) -> str:

@@ -76,7 +76,9 @@ class Progress:
         self._recent.append((now, self.done))
         while len(self._recent) > 2 and self._recent[1][1] <= (self._from + self.done) / 2:
             self._recent.popleft()
-        if now - self._shown >= (TERMINAL_SECONDS if self._bar else LOG_SECONDS):
+        is_left_to_exit = not self._bar and self.done >= self.total  # or a log has it twice
+        seconds = TERMINAL_SECONDS if self._bar else LOG_SECONDS
+        if now - self._shown >= seconds and not is_left_to_exit:
             self._shown = now
             self._draw(now)
 

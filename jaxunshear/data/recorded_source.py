@@ -31,7 +31,7 @@ class RecordedSource(DataSource):
         share = f", with {labelled:.0%} of the slides' labels" if labelled < 1 else ""
         return (
             f"These networks learnt from recordings of one sensor of {pins} pins{share}: "
-            "another sensor, another object or another camera is another matter; "
+            "errors are larger on another sensor, object or camera; "
             "score them with `jaxunshear evaluate MODEL --recordings RECORDINGS`."
         )
 

@@ -239,7 +239,7 @@ def format_table(results: Results) -> str:
     if UNSHEARED in results.pose_recovery:
         rows.append({"error": "recovery", **results.pose_recovery[UNSHEARED]})
     for name, table in results.readers.items():
-        title = f"reader {name}, "
+        title = f"ridge on {name}, "
         rows += [{"error": title + kind, **table[kind]} for kind in POSE_ROWS if kind in table]
     lines = [format_text_table(rows, ("error", *names))]
     if results.coverage:

@@ -86,8 +86,16 @@ def test_taps_and_slides_of_each_layout(tmp_path, columns, images):
         assert (folder.labels.posed, folder.labels.taps, folder.labels.slides) == (3, taps, slides)
         assert folder.labels.ranges == {"y_mm": (-1, 1), "z_mm": (3, 5), "Rz_deg": (-100, 140)}
     assert diagnosis.problems == [] and diagnosis.note == ""
-    fit = f"jaxunshear fit --taps '{root}' --slides '{root}' --unshear.input pins"
+    folders = f"--taps '{root}/tap/train' --slides '{root}/shear/train'"
+    fit = f"jaxunshear fit {folders} --unshear.input pins"
     assert diagnosis.next == fit and is_parsed(diagnosis.next)
+
+
+def test_taps_and_slides_in_several_folders_are_found_by_their_labels(tmp_path):
+    for name, slide in (("tap", 0.0), ("more", 0.0), ("slide", 1.0)):
+        recorded(tmp_path / name, slide=slide)
+    fit = f"jaxunshear fit --taps {tmp_path} --slides {tmp_path} --unshear.input pins"
+    assert check_recordings(tmp_path).next == fit
 
 
 def test_one_kind_alone_teaches_poses(tmp_path):

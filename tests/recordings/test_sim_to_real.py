@@ -151,7 +151,7 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     errors = [reader[way]["y_mm"] for way in ("tap", "sheared", "unsheared")]
     assert errors == pytest.approx([0, 1, 0.5], abs=0.05)
     assert max(reader["unsheared"][name] for name in ("z_mm", "Rz_deg")) < 0.5
-    assert "reader pins" in format_table(results)
+    assert "ridge on pins" in format_table(results)
     counts = results.counts
     assert counts.known_taps + counts.test_taps == 60
     assert (counts.test_poses, counts.test_unsure) == (40, 0)

@@ -68,21 +68,21 @@ def test_the_figures_of_the_results_are_on_it(page, read_page):
 
 def test_what_readers_of_another_make_err_by_is_reported(page, bare_run, read_page, read_report):
     folder, results = bare_run
-    reported = read_page(page).split("Read by readers of another make")[1]
+    reported = read_page(page).split("Pose errors of another estimator")[1]
     for reader, kinds in results["readers"].items():
         for errors in kinds.values():
             assert all(f"{value:.2f}" in reported for value in errors.values()), reader
     assert "kernel ridge on pixels: 3000 taps; kernel ridge on pins: 2999 taps" in reported
     assert "8 1 left out" in reported
     del results["readers"]  # of an earlier version
-    assert "another make" not in read_report(folder, results)
+    assert "another estimator" not in read_report(folder, results)
 
 
 def test_intervals_say_that_they_are_of_one_training(page, bare_run, read_page, read_report):
     folder, results = bare_run
     said = "Intervals are over test poses of one training and say nothing of other trainings."
     text = read_page(page)
-    titles = ("How alike the images are", "What a pose network reads", "readers of another make")
+    titles = ("How alike the images are", "Pose errors of PoseNet", "Pose errors of another estimator")
     for title in titles:
         assert said in text.split(title)[1][:700], title
     del results["spread"]["over"]  # of an earlier version
