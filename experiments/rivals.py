@@ -21,11 +21,12 @@ One row by itself, of seed 0 (`--seed 1` for another):
 
     jaxunshear run experiments/recorded.py --recordings DIR --unshear.input pins --name ROW OPTIONS
 
-OPTIONS are the first two of these lines, the third or fourth, and the fifth or sixth where a row's
-name says so:
+OPTIONS are the first three of these lines, the fourth or fifth, and the sixth or seventh if the
+name of the row says so:
 
     all rows                    --train_pins.optimiser adam --train_pins.learning_rate 3e-3
     and                         --train_pins.epochs 100 --train_pins.validate_every 500
+    and                         --train_pins.min_steps 1
     dense                       --pins.conv_channels=
     convolving                  --pins.direct_conv_channels 24,48,96
     direct from rendered taps   --paired.direct_taps rendered

@@ -130,7 +130,7 @@ def test_the_commands_that_rivals_gives_make_its_rows():
     lines = [line.split() for line in text.splitlines()]
     shared = [word for line in lines if line[:1] in (["all"], ["and"]) for word in line]
     trained = shared[shared.index("--train_pins.optimiser") :]
-    trained.remove("and")
+    trained = [word for word in trained if word != "and"]
     for label, words in given.items():
         asked = ["--unshear.input", "pins", *SOMEWHERE, *trained, *f"--{words}".split()]
         made, row = override_fields(recorded, asked), cells[label].experiment
