@@ -82,7 +82,7 @@ def test_intervals_say_that_they_are_of_one_training(page, bare_run, read_page, 
     folder, results = bare_run
     said = "Intervals are over test poses of one training and say nothing of other trainings."
     text = read_page(page)
-    titles = ("How alike the images are", "Pose errors of PoseNet", "Pose errors of another estimator")
+    titles = ("How alike the images are", "Pose errors of PoseNet", "of another estimator")
     for title in titles:
         assert said in text.split(title)[1][:700], title
     del results["spread"]["over"]  # of an earlier version
