@@ -33,7 +33,7 @@ def bench_contacts(recordings: Path | None = None, seed: int = 0) -> list[Json]:
         place = Path(name)
         write_contacts(place / "test", contacts, slice(TEST))
         for size in SIZES:
-            if contacts.count() < TEST + size:
+            if contacts.count_fewer() < TEST + size:
                 break
             learnt = f"contacts_{size}"
             write_contacts(place / learnt, contacts, slice(TEST, TEST + size))

@@ -33,7 +33,7 @@ class DrawnContacts(NamedTuple):
         for name, contacts in zip(("tap", "shear"), self, strict=True):
             yield name, contacts.take(np.arange(len(contacts.files))[rows])
 
-    def count(self) -> int:
+    def count_fewer(self) -> int:
         """Count the taps or the slides, whichever are fewer."""
         return min(len(each.files) for each in self)
 
@@ -47,10 +47,10 @@ def draw_contacts(recordings: Path | None, least: int, seed: int) -> DrawnContac
     generator = np.random.default_rng(seed)
     rows = [np.flatnonzero(contacts.is_slide == is_slide) for is_slide in (False, True)]
     drawn = DrawnContacts(*(contacts.take(generator.permutation(each)) for each in rows))
-    if drawn.count() < least:
+    if drawn.count_fewer() < least:
         raise UserError(
             f"--recordings = {recordings}: must hold {least} taps and as many slides, "
-            f"not {drawn.count()}; name a larger set"
+            f"not {drawn.count_fewer()}; name a larger set"
         )
     return drawn
 
