@@ -117,7 +117,7 @@ def _write_sensor(folder: Path, demo: DemoSensor, count: int, seed: int, progres
     images = _render(demo, tips, seed, partial(binarise, Preprocess()))
     rows = np.flatnonzero(touched.converged)
     if failed := len(touched.converged) - len(rows):
-        note = f"{demo.name}: {failed} contacts did not converge: they are left out"
+        note = f"{demo.name}: contacts left out, as they did not converge: {failed}"
         warnings.warn(note, Note, stacklevel=2)
     taps, slides = rows[rows < count], rows[rows >= count]
     places = [(folder / STIMULUS / "tap", taps), (folder / STIMULUS / "shear", slides)]

@@ -219,7 +219,7 @@ class SimulatedSource(DataSource):
         simulated = f"These networks were trained on simulated contacts alone ({sensor}; {names})"
         if self.suits_recordings:
             return (
-                f"{simulated}, varied as between sensors and cameras. "
+                f"{simulated}, whose sensor and camera vary at random. "
                 "Offset and sign of each output are arbitrary "
                 "(`jaxunshear evaluate MODEL --recordings DIR` estimates them for its scores). "
                 "Networks that learn from your own recordings are more exact (`jaxunshear fit`)."
