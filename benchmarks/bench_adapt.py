@@ -82,7 +82,8 @@ def _make_row(name: str, results: Results) -> Json:
 def move_image(image: np.ndarray, move: Move, is_back: bool = False) -> np.ndarray:
     """Move an image (H, W) or (H, W, C) uint8, or move it back; its border repeats beyond it."""
     middle = (np.array(image.shape[:2]) - 1) / 2
-    matrix, shift = np.eye(image.ndim), np.zeros(image.ndim)
+    matrix: np.ndarray = np.eye(image.ndim)
+    shift = np.zeros(image.ndim)
     matrix[:2, :2] = rotation_2d(-np.radians(move.turn_deg)) / move.scale
     shift[:2] = middle - matrix[:2, :2] @ (middle + np.array(move.shift_px))
     if is_back:
