@@ -8,7 +8,7 @@ shift, a turn and a scale of each ring, moves the frame of all networks; nothing
 
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -37,6 +37,8 @@ from jaxunshear.training.checkpoint import FRAME_SHIFT, MODEL, load_network, mov
 from jaxunshear.training.examples import FRAME, HelperLoader
 
 MIN_TAPS = 20
+# motions (N, P, 2) of pins, their rest positions (P, 2) px and rings (P,) -> the motion of all
+MotionFit = Callable[[np.ndarray, np.ndarray, np.ndarray], "PinMotion"]
 
 
 class PinMotion(NamedTuple):
@@ -71,11 +73,13 @@ def fit_pin_motion(
     return PinMotion(motion, shift, float(np.degrees(turn)), ring_px)
 
 
-def adapt(run: Path, taps: Path, out: Path, data_dir: Path) -> PinMotion:
+def adapt(
+    run: Path, taps: Path, out: Path, data_dir: Path, fit: MotionFit = fit_pin_motion
+) -> PinMotion:
     """Write the run to `out`, adapted to labelled taps of another day; return the pins' motion.
 
-    Half-widths grow by as much as PoseNet errs more on these taps than on the run's own. Raises
-    UserError, and then leaves nothing behind.
+    `fit` finds it from the motions of pins. Half-widths grow by as much as PoseNet errs more on
+    these taps than on the run's own. Raises UserError, and then leaves nothing behind.
     """
     check_finished_run(run)
     if out.exists():
@@ -87,7 +91,7 @@ def adapt(run: Path, taps: Path, out: Path, data_dir: Path) -> PinMotion:
     render = HelperLoader(experiment, data_dir, run).load_renderer()
     frame = read_object(run / FRAME)
     place, ring = np.array(frame["place_px"]), np.array(frame["shell"])
-    moved = fit_pin_motion(rows["pins"] - render(rows["pose"]), place, ring)
+    moved = fit(rows["pins"] - render(rows["pose"]), place, ring)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as folder_of_part:
         part = Path(folder_of_part) / out.name

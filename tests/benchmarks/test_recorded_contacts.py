@@ -25,7 +25,7 @@ def small(monkeypatch):
     monkeypatch.setattr(bench_contacts, "SIZES", (40, 60, 1000))
     monkeypatch.setattr(bench_adapt, "LEARNT", 240)  # so many that there are half-widths
     monkeypatch.setattr(bench_adapt, "TAPS", 24)
-    monkeypatch.setattr(bench_adapt, "MOVES", {"all": bench_adapt.Move(scale=1.01)})
+    monkeypatch.setattr(bench_adapt, "MOVES", {"1 %": bench_adapt.Move(scale=1.01)})
 
 
 def test_each_size_that_the_recordings_allow_has_its_rows(small, tmp_path):
@@ -41,14 +41,10 @@ def test_each_size_that_the_recordings_allow_has_its_rows(small, tmp_path):
 
 
 @pytest.mark.long
-def test_each_move_has_a_row_as_it_is_and_one_adapted(small, tmp_path):
+def test_each_move_has_a_row_as_it_is_and_two_adapted(small, tmp_path):
     rows = bench_adapt.bench_adapt(made.edge(tmp_path / "edge", 290, 284))
-    assert [row["name"] for row in rows] == [
-        "not moved",
-        bench_adapt.BACK,
-        "all/as it is",
-        "all/adapted",
-    ]
+    ways = ("as it is", "adapted", "known")
+    assert [row["name"] for row in rows] == ["not moved", *(f"1 %/{way}" for way in ways)]
     for row in rows:
         assert set(row) == {"name", *TARGETS, *(f"held_{name}" for name in TARGETS)}
         assert all(row[name] > 0 and 0 <= row[f"held_{name}"] <= 1 for name in TARGETS)
@@ -79,6 +75,12 @@ def test_images_move_as_said():
     larger = bench_adapt.move_image(image, bench_adapt.Move(scale=1.5))
     assert larger[20, 35] == 200
     assert (bench_adapt.move_image(image, bench_adapt.Move()) == image).all()
-    move = bench_adapt.Move((2.0, -3.0), 90.0)
-    back = bench_adapt.move_image(bench_adapt.move_image(image, move), move, is_back=True)
-    np.testing.assert_allclose(back, image, atol=2)
+
+
+def test_points_move_as_images_do():
+    image = np.zeros((128, 128), np.uint8)
+    image[40:43, 80:83] = 255
+    move = bench_adapt.Move((5.0, -8.0), 20.0, 1.1)
+    row, column = np.argwhere(bench_adapt.move_image(image, move) > 127).mean(axis=0)
+    moved = bench_adapt.move_points(np.array([[81.0, 41.0]]), move)
+    np.testing.assert_allclose(moved, [[column, row]], atol=0.2)
