@@ -54,7 +54,8 @@ def test_commands_of_the_page(command, laboratory, monkeypatch):
     layout, doctor, pins, _ = run_page(command, ("layout", "doctor", "pins", "fit"))
     assert f"{PAD.pins} dark markers" in layout.out
     assert "layout of pad; followed in 100%" in doctor.out
-    assert "fit --taps recordings/pad --slides recordings/pad --layout pad.json" in doctor.out
+    folders = "--taps recordings/pad/tap/csv_train --slides recordings/pad/shear/csv_train"
+    assert f"fit {folders} --layout pad.json" in doctor.out
     assert (
         f"60 with every pin's identity sure (100.0 %), 60 of them with all {PAD.pins}" in pins.out
     )
