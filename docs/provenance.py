@@ -123,7 +123,8 @@ def describe_origin(result: Json) -> str:
     commands, sources = list_commands(result), list_sources(result)
     words = [f"`{commands[0]}`{_describe_move(commands[0])}"] if commands else []
     if len(commands) > 1:
-        words.append(f"and {len(commands) - 1} more commands")
+        more = len(commands) - 1
+        words.append(f"and {more} more command{'s' if more > 1 else ''}")
     words += map(_describe_source, sources)
     if not sources and (version := _describe_version(result)):
         words.append(version)

@@ -43,7 +43,11 @@ CONTACT_ROWS = {
 }
 TASK_TITLES = {"edge_2d": "edge", "surface_3d": "surface"}
 OTHER = "other recordings (locked)"
-HELD = "share of z within the 95 % half-widths: as it is | adapted"
+WAYS = {
+    "as it is": "as it is",
+    "adapted": "**adapted by 50 taps**",
+    "known": "adapted by the motion itself",
+}
 SHARES = ("0.01", "0.05", "0.1", "0.3", "1.0")
 UNLABELLED = ("left_out", "pseudo_label")
 LEARNT = (
@@ -148,18 +152,18 @@ def tabulate_contacts(recordings: str) -> str:
 def tabulate_adapted() -> str:
     """Tabulate errors on moved images of a run as it is and adapted: means of the seeds."""
     runs = load_runs("adapt")
-    heads = [f"{_name_target(target)}: as it is | adapted" for target in EDGE_TARGETS]
-    lines = start_table(format_line("the image is moved by", [*heads, HELD]))
-    moves = list(dict.fromkeys(name.partition("/")[0] for name in runs[0]))
-    for move in moves:
-        names = [name for name in runs[0] if name.partition("/")[0] == move]
-        cells = [
-            " | ".join(_format_mean(runs, name, target, digits) for name in (names[0], names[-1]))
-            for target, digits in EDGE_TARGETS.items()
-        ]
-        held = [_format_mean(runs, name, "held_z_mm", 2) for name in (names[0], names[-1])]
-        lines.append(format_line(move, [*cells, " | ".join(held)]))
+    heads = [*map(_name_target, EDGE_TARGETS), "z within the 95 % half-widths"]
+    lines = start_table(format_line("images, and the network", heads))
+    for name in runs[0]:
+        cells = [_format_mean(runs, name, *each) for each in EDGE_TARGETS.items()]
+        held = fmean(run[name]["held_z_mm"] for run in runs)
+        lines.append(format_line(_name_move(name), [*cells, f"{held:.0%}"]))
     return "\n".join(lines)
+
+
+def _name_move(name: str) -> str:
+    move, _, way = name.partition("/")
+    return f"{move}: {WAYS[way]}" if way else move
 
 
 def _format_mean(runs: Sequence[Mapping[str, Json]], name: str, field: str, digits: int) -> str:

@@ -215,7 +215,7 @@ def test_a_note_says_what_a_file_knows():
     assert describe_origin(unclean) == "commit 0123456 of 2030-01-02 with uncommitted changes"
     assert describe_origin(one | {"trained_on": {"posenet": {}}}) == "`jaxunshear sweep a`"
     several = {"runs": {"a": {"command": "x", "source": CODE}, "b": {"command": "y"}}}
-    assert describe_origin(several) == "`x`, and 1 more commands"
+    assert describe_origin(several) == "`x`, and 1 more command"
 
 
 def result(**more):
