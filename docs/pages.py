@@ -95,11 +95,12 @@ def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files) 
     if page.file.src_uri.startswith("notebooks/"):
         return text
     text = text.replace("](../", "](").replace("](docs/", "](").replace(".ipynb)", ".md)")
+    text = text.replace("](README.md", f"]({TOP['README.md']}")
     text = re.sub(
         r"\]\(((?:examples|experiments|jaxunshear)/[\w/.]+\.(?:py|cpp))\)", r"](\1.txt)", text
     )
     return re.sub(
-        r"\[([^\]]+)\]\((?:jaxunshear/models/fast/compiled|LICENSE|CITATION\.cff|README\.md)\)",
+        r"\[([^\]]+)\]\((?:jaxunshear/models/fast/compiled|LICENSE|CITATION\.cff)\)",
         r"\1",
         text,
     )
