@@ -43,7 +43,7 @@ TOOL_PROGRAMS = {  # the modules that `python -m` starts from
     "verification stability": ("verification.stability",),
     **{
         f"benchmarks {name}": ("benchmarks.bench_networks",)
-        for name in ("train", "infer", "stream")
+        for name in ("train", "infer", "stream", "frame")
     },
     **{
         f"benchmarks {name}": (f"benchmarks.bench_{name}",)
