@@ -17,7 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from benchmarks.drawn_contacts import TEST, draw_contacts, score, train, write_contacts
-from jaxunshear.adapt import PinMotion, adapt, fit_pin_motion
+from jaxunshear.adapt import MotionFit, PinMotion, adapt, fit_pin_motion
 from jaxunshear.angles import rotation_2d
 from jaxunshear.config.sensor import Preprocess
 from jaxunshear.files import Json
@@ -67,7 +67,8 @@ def bench_adapt(recordings: Path | None = None, seed: int = 0) -> list[Json]:
             write_contacts(place / test, contacts, slice(TEST), change)
             write_contacts(place / taps, contacts, slice(TEST, TEST + TAPS), change)
             rows.append(_make_row(f"{name}/as it is", score(place, run, test)))
-            for way, fit in {"adapted": fit_pin_motion, "known": partial(_know, move)}.items():
+            ways: dict[str, MotionFit] = {"adapted": fit_pin_motion, "known": partial(_know, move)}
+            for way, fit in ways.items():
                 out = place / "adapted" / f"{list(MOVES).index(name)}_{way}"
                 adapt(run, place / taps / "tap", out, place / "datasets", fit)
                 rows.append(_make_row(f"{name}/{way}", score(place, out, test)))
