@@ -8,18 +8,20 @@ of the recordings, the same ones in all rows of a seed.
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.drawn_contacts import TEST, draw_contacts, score, train, write_contacts
+from benchmarks.drawn_contacts import (
+    TEST,
+    draw_contacts,
+    format_rows,
+    score,
+    train,
+    write_contacts,
+)
 from jaxunshear.files import Json
 from jaxunshear.results.record_files import read_times
-from jaxunshear.text_table import format_text_table
 
 SIZES = (100, 300, 1000, 3000)  # taps, and as many slides
 KINDS = ("tap", "sheared", "unsheared", "sheared_learnt")
-
-
-def format_table(rows: list[Json]) -> str:
-    """Format rows as text; the columns are those of the labels that vary."""
-    return format_text_table(rows, columns=tuple(rows[0]))
+format_table = format_rows
 
 
 def bench_contacts(recordings: Path | None = None, seed: int = 0) -> list[Json]:

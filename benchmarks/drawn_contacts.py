@@ -16,9 +16,11 @@ from jaxunshear.data.recordings import read_image
 from jaxunshear.demo_data import Labels, write_recording
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.recorded_evaluation import score_recordings
+from jaxunshear.files import Json
 from jaxunshear.fit import BASE_EXPERIMENT, set_recordings
 from jaxunshear.results.run import Results
 from jaxunshear.run import run_stages
+from jaxunshear.text_table import format_text_table
 
 TEST = 500  # taps, and as many slides, of other contacts
 
@@ -87,3 +89,8 @@ def score(place: Path, run: Path, recordings: str) -> Results:
     """Score a run on place/recordings."""
     experiment = load_settings(run)
     return score_recordings(experiment, run, place / recordings, place / "datasets", "")
+
+
+def format_rows(rows: list[Json]) -> str:
+    """Format rows as text, with a column for each label that varies."""
+    return format_text_table(rows, columns=tuple(rows[0]))

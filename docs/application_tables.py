@@ -148,8 +148,8 @@ def tabulate_exported_speed() -> str:
 
 
 def tabulate_filter() -> str:
-    """Tabulate errors and lags of a stream's poses, without a filter and with that of `stream`."""
-    filters = {None: "no", 1.0: "yes"}  # by the drift over that of `stream`
+    """Tabulate errors and lags of a stream's poses, without a filter and with the filter of `stream`."""
+    filters = {None: "no", 1.0: "yes"}  # by the drift over the drift of `stream`
     rows = [
         row | {"walk": row["name"].split(",")[0], "filter": filters[row["drift"]]}
         for row in load_result("bench_filter")["rows"]

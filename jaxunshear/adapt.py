@@ -37,8 +37,6 @@ from jaxunshear.training.checkpoint import FRAME_SHIFT, MODEL, load_network, mov
 from jaxunshear.training.examples import FRAME, HelperLoader
 
 MIN_TAPS = 20
-# motions (N, P, 2) of pins, their rest positions (P, 2) px and rings (P,) -> the motion of all
-MotionFit = Callable[[np.ndarray, np.ndarray, np.ndarray], "PinMotion"]
 
 
 class PinMotion(NamedTuple):
@@ -48,6 +46,10 @@ class PinMotion(NamedTuple):
     shift_px: np.ndarray  # (2,)
     turn_deg: float
     ring_px: np.ndarray  # (R,) outwards, by ring
+
+
+# motions (N, P, 2) of pins, their rest positions (P, 2) px and rings (P,) -> the motion of all
+MotionFit = Callable[[np.ndarray, np.ndarray, np.ndarray], PinMotion]
 
 
 class LabelledTaps(NamedTuple):

@@ -30,7 +30,7 @@ class Training:
     """Losses, optimiser and schedule of one network (paper section 3.3, appendix B)."""
 
     epochs: Positive = 6.0  # passes through the training examples
-    # fewer steps than these are filled up by more passes, for small sets
+    # steps at least: a small set is passed through more often
     min_steps: Count = 1
     batch: Count = 16  # examples of a step
     # the optimiser: "adam", the paper's; or "muon", which takes the same learning rates and gets

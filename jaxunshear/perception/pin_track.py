@@ -63,7 +63,7 @@ class PinTrack(NamedTuple):
         return ~np.isnan(self.motion[:, 0])
 
     @property
-    def is_settled(self) -> bool:
+    def is_final(self) -> bool:
         """Whether no other first motion helps: it is identified, or only undetected pins miss.
 
         Then pins with a dot move smoothly, and few dots have no pin.

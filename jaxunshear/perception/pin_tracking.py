@@ -102,7 +102,7 @@ def track_all(lattice: Lattice, frames: list[DetectedPins]) -> list[PinTrack]:
     prior = fit_motion_prior(lattice, tracks)
     if prior is not None:
         tracks = [
-            track if track.is_settled else track_pins(lattice, detected, prior)
+            track if track.is_final else track_pins(lattice, detected, prior)
             for track, detected in zip(tracks, frames, strict=True)
         ]
     return [
@@ -131,7 +131,7 @@ def track_pins(
             continue  # equal identities end as before
         tried.add(key)
         best = _choose_better(best, _finish_track(lattice, detected, rating))
-        if best.is_settled:
+        if best.is_final:
             break
     return best
 

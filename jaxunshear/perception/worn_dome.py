@@ -72,7 +72,7 @@ def track_worn_pins(lattice: Lattice, detected: DetectedPins, track: PinTrack) -
         return add_lost_pins(
             lattice, track_worn_pins(lattice.intact, detected, drop_lost_pins(lattice, track))
         )
-    if track.is_settled:
+    if track.is_final:
         own = assess_worn_track(lattice, detected.pins, track.identity)
         if not own.identified:
             return track  # other first motions lead to the same identities

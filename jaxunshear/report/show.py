@@ -86,12 +86,14 @@ def predict_frames(path: Path, model: TrainedModel) -> list[ShownFrame]:
     images = np.stack([frame.image for frame in frames])
     predictions = model.predict(images)
     motions = _measure_motions(model, images, predictions)
-    taps = predict_taps(path, [some.files[frame.row] for frame in frames], model)
+    has_labels = set().union(*predictions.poses.values()) <= labels.keys()
+    files = [some.files[frame.row] for frame in frames]
+    taps = {} if has_labels else predict_taps(path, files, model)
     shown = []
     for i, frame in enumerate(frames):
         reason = str(predictions.rejection[i])
         label = {name: float(values[rows[frame.row]]) for name, values in labels.items()}
-        tap = taps.get(some.files[frame.row], {})
+        tap = taps.get(files[i], {})
         poses = {} if reason else collect_poses(predictions, i, label, tap)
         unsheared = predictions.unsheared
         shown.append(
@@ -127,12 +129,11 @@ def predict_taps(
                 raw = read_image(contacts.files[tap])
                 view = model.view or model.find_view(raw)
                 images[contacts.files[slide]] = prepare_frame(model.preprocess, raw, view)
-    if not images:
-        return {}
-    poses = model.predict(np.stack(list(images.values()))).poses.get(AS_RECORDED, {})
+    poses = model.predict(np.stack(list(images.values()))).poses if images else {}
+    rows = zip(*poses.get(AS_RECORDED, {}).values(), strict=True)  # (N,) of each quantity
     return {
-        file: {name: float(values[i]) for name, values in poses.items()}
-        for i, file in enumerate(images)
+        file: dict(zip(poses[AS_RECORDED], map(float, row), strict=True))
+        for file, row in zip(images, rows, strict=False)  # no rows without a PoseNet
     }
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import bench_adapt, bench_contacts, drawn_contacts
+from jaxunshear.config.sensor import Preprocess
 from jaxunshear.errors import UserError
 from jaxunshear.fit import BASE_EXPERIMENT
 from tests.recordings import made
@@ -65,7 +66,8 @@ def test_recordings_that_are_missing_or_too_few_are_refused(tmp_path, contacts):
         drawn_contacts.draw_contacts(folder, 60, seed=0)
 
 
-def test_images_move_as_said():
+def test_images_move_as_said(monkeypatch):
+    monkeypatch.setattr(bench_adapt, "Preprocess", lambda: Preprocess(size=41))
     image = np.zeros((41, 41), np.uint8)
     image[20, 30] = 200  # ten px to the right of the middle
     shifted = bench_adapt.move_image(image, bench_adapt.Move((2.0, -3.0)))
@@ -75,6 +77,10 @@ def test_images_move_as_said():
     larger = bench_adapt.move_image(image, bench_adapt.Move(scale=1.5))
     assert larger[20, 35] == 200
     assert (bench_adapt.move_image(image, bench_adapt.Move()) == image).all()
+    large = np.zeros((82, 82), np.uint8)
+    large[40:42, 60:62] = 200
+    shifted = bench_adapt.move_image(large, bench_adapt.Move((2.0, -3.0)))
+    assert (shifted[44:46, 54:56] == 200).all() and shifted.sum() == large.sum()
 
 
 def test_points_move_as_images_do():
