@@ -148,7 +148,7 @@ def tabulate_exported_speed() -> str:
 
 
 def tabulate_filter() -> str:
-    """Tabulate errors and lags of a stream's poses, without a filter and with the filter of `stream`."""
+    """Tabulate errors and lags of a stream's poses, without the filter of `stream` and with it."""
     filters = {None: "no", 1.0: "yes"}  # by the drift over the drift of `stream`
     rows = [
         row | {"walk": row["name"].split(",")[0], "filter": filters[row["drift"]]}
