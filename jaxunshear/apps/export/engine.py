@@ -1,6 +1,6 @@
 """Runs networks over images by onnxruntime, frame by frame. Needs the extra `onnx`.
 
-XLA computes each of a small image's convolutions in one thread, onnxruntime in all.
+XLA computes most convolutions of a small image in one thread, onnxruntime in all.
 
 >>> model.compile_networks = compile_for_frames
 """
