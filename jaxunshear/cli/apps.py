@@ -91,6 +91,10 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> 
     settings = _make_camera_settings(arguments)
     adapt_to_dome(model, arguments.untouched, arguments.without)
     model.with_sheared_poses = False
+    if importlib.util.find_spec("onnxruntime") and importlib.util.find_spec("onnx"):
+        from jaxunshear.apps.export.engine import compile_for_frames
+
+        model.compile_networks = compile_for_frames
     model.compile(1)
     source = open_source(arguments.source, model.preprocess, settings)
     if arguments.filter and not source.has_times:

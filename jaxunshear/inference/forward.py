@@ -17,7 +17,7 @@ from jax import Array
 from jaxunshear.config.networks import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.models import posenet
 from jaxunshear.models.registry import predict, scale_inputs, unshear
-from jaxunshear.models.weights import Variables
+from jaxunshear.models.weights import Tree, Variables
 from jaxunshear.training.checkpoint import TrainedNetwork
 
 AS_RECORDED, UNSHEARED = "as_recorded", "unsheared"  # what a pose is predicted from
@@ -26,6 +26,8 @@ BATCH = 32
 
 # (variables by network, inputs) -> unsheared or as they are, and pose by quantity, (B,) each
 Forward = Callable[[Variables, Array], tuple[Array, dict[str, Array]]]
+# scaled inputs -> unsheared if a network does so, and poses by kind and quantity
+RunNetworks = Callable[..., Tree]
 Outputs = TypeVar("Outputs")
 
 
@@ -72,6 +74,14 @@ def make_full_forward(
         return unsheared, poses
 
     return forward
+
+
+def compile_networks(
+    networks: Mapping[str, TrainedNetwork], with_sheared_poses: bool
+) -> RunNetworks:
+    """Compile `make_full_forward` with the weights of networks."""
+    variables = {name: network.variables for name, network in networks.items()}
+    return jit_for_inference(make_full_forward(networks, with_sheared_poses), variables)
 
 
 def compute_confidence(image: Array) -> Array:

@@ -36,7 +36,12 @@ from jaxunshear.data.sources import DataSource, open_source
 from jaxunshear.environment import keep_freed_memory
 from jaxunshear.errors import Note, UserError
 from jaxunshear.files import read_object
-from jaxunshear.inference.forward import BATCH, jit_for_inference, make_full_forward
+from jaxunshear.inference.forward import (
+    BATCH,
+    RunNetworks,
+    compile_networks,
+    jit_for_inference,
+)
 from jaxunshear.inference.readers import (
     Codes,
     ImageReader,
@@ -84,6 +89,7 @@ class TrainedModel:
     frame: SensorFrame | None = None
     force: bool = False  # use images of another sensor, and of an untouched dome
     with_sheared_poses: bool = True  # `predict` poses of the images as they are, too
+    compile_networks: Callable[[dict[str, TrainedNetwork], bool], RunNetworks] = compile_networks
     _loaded: dict[str, TrainedNetwork] = field(default_factory=dict, init=False)
 
     def __repr__(self) -> str:
@@ -323,10 +329,8 @@ class TrainedModel:
         self.predict(np.zeros((batch, self.size, self.size), np.uint8))
 
     @cached_property
-    def _forward(self) -> Callable[..., Tree]:
-        networks = self._main_networks
-        variables = {name: network.variables for name, network in networks.items()}
-        return jit_for_inference(make_full_forward(networks, self.with_sheared_poses), variables)
+    def _forward(self) -> RunNetworks:
+        return self.compile_networks(self._main_networks, self.with_sheared_poses)
 
     @cached_property
     def _encode(self) -> Callable[[np.ndarray], tuple[Array, Array | None]] | None:
