@@ -196,11 +196,8 @@ def _make_frame_sides(size: int, batch: int) -> Sides:
     image = make_noise_images(batch, size)[1, 0, ..., 0]
 
     def ours(layers: str) -> Work:
-        variables = _init_stream_variables(net, pose_net)
-        networks = {
-            DISENTANGLED: TrainedNetwork(net, variables[DISENTANGLED], ()),
-            POSENET: TrainedNetwork(pose_net, variables[POSENET], TARGETS),
-        }
+        networks = _make_stream_networks(net, pose_net)
+        variables = {name: network.variables for name, network in networks.items()}
         run = jit_for_inference(make_forward(networks), variables)
 
         def work() -> None:
@@ -211,29 +208,35 @@ def _make_frame_sides(size: int, batch: int) -> Sides:
 
     yield "jaxunshear", lambda: ours(FAST)
     yield "jaxunshear, plain layers", lambda: ours(PLAIN)
-    if jax.default_backend() == "cpu":  # the only device of the file
+    if jax.default_backend() == "cpu":  # the only device of ONNX Runtime here
+        yield "jaxunshear, by onnxruntime", lambda: _make_engine_work(net, pose_net, image)
         yield "onnxruntime", lambda: _make_exported_work(net, pose_net, image)
     yield "pytorch", lambda: _make_torch_stream_work(net, pose_net, image, False)
     yield "pytorch, compiled", lambda: _make_torch_stream_work(net, pose_net, image, True)
 
 
-def _init_stream_variables(net: UnshearNet, pose_net: PoseNet) -> dict[str, Any]:
-    outputs = count_outputs(TARGETS)
+def _make_stream_networks(net: UnshearNet, pose_net: PoseNet) -> dict[str, TrainedNetwork]:
+    unshears = init_variables(partial(unshearnet.init, net))
+    reads_poses = init_variables(partial(posenet.init, pose_net, count_outputs(TARGETS)))
     return {
-        POSENET: init_variables(partial(posenet.init, pose_net, outputs)),
-        DISENTANGLED: init_variables(partial(unshearnet.init, net)),
+        DISENTANGLED: TrainedNetwork(net, unshears, ()),
+        POSENET: TrainedNetwork(pose_net, reads_poses, TARGETS),
     }
+
+
+def _make_engine_work(net: UnshearNet, pose_net: PoseNet, image: np.ndarray) -> Work:
+    """Make the work of `stream` where the extra `onnx` is installed."""
+    from jaxunshear.apps.export.engine import compile_for_frames
+
+    run = compile_for_frames(_make_stream_networks(net, pose_net), False)
+    return lambda: run(np.asarray(image[None, ..., None], np.float32) / 255) is None
 
 
 def _make_exported_work(net: UnshearNet, pose_net: PoseNet, image: np.ndarray) -> Work:
     from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
 
-    variables = jax.device_get(_init_stream_variables(net, pose_net))
     lattice = compute_rest_lattice(TACTIP_331, Camera(), Preprocess(size=net.size))
-    networks = {
-        DISENTANGLED: TrainedNetwork(net, variables[DISENTANGLED], ()),
-        POSENET: TrainedNetwork(pose_net, variables[POSENET], TARGETS),
-    }
+    networks = jax.device_get(_make_stream_networks(net, pose_net))
     parts = ExportedModel(networks, None, make_sensor_check(lattice.rest, net.size))
     run = make_onnx_runner(build_onnx(parts, 1, None, {}), parts)
     return lambda: run(image[None]) is None

@@ -23,6 +23,12 @@ TRAJECTORIES = {
     "learnt": "sheared, PoseNet that learnt slides",
 }
 
+FRAME_ROWS = {
+    "jaxunshear, by onnxruntime": "`stream`, with the extra `onnx`",
+    "jaxunshear": "`stream`, without it",
+    "onnxruntime": "the exported file",
+}
+
 
 def tabulate_detected_pins() -> str:
     """Tabulate how surely, how exactly and how fast pins of simulated frames are found."""
@@ -140,7 +146,7 @@ def tabulate_exported_speed() -> str:
     """Tabulate a frame's time as our own stream takes it and as an exported file does."""
     rows = load_result("bench_stream_onnx")["rows"]
     lines = start_table("| a frame, ms: median (95 %) | 128 px | 256 px |")
-    for name, label in (("jaxunshear", "`stream`"), ("onnxruntime", "the exported file")):
+    for name, label in FRAME_ROWS.items():
         times = sorted((row for row in rows if row["name"] == name), key=lambda row: row["size"])
         cells = [f"{row['ms_per_image']:.1f} ({row['ms_p95']:.1f})" for row in times]
         lines.append(format_line(label, cells))
