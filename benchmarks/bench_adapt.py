@@ -101,6 +101,6 @@ def move_points(points: np.ndarray, move: Move) -> np.ndarray:
     return (middle + move.scale * turned + np.array(move.shift_px))[:, ::-1]
 
 
-def _know(move: Move, motions: np.ndarray, rest: np.ndarray, ring: np.ndarray) -> PinMotion:
+def _know(move: Move, motions: np.ndarray, rest: np.ndarray) -> PinMotion:
     """Know the motion of pins; what it consists of is not asked for."""
-    return PinMotion(move_points(rest, move) - rest, np.zeros(2), 0.0, np.zeros(0))
+    return PinMotion(move_points(rest, move) - rest, np.zeros(2), 0.0, 0.0)
