@@ -8,7 +8,7 @@ frame of all networks; nothing is trained.
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -49,10 +49,6 @@ class PinMotion(NamedTuple):
     left_px: float  # root mean square of what shift and turn leave of the motion
 
 
-# motions (N, P, 2) of pins, and their rest positions (P, 2) px -> the motion of all
-MotionFit = Callable[[np.ndarray, np.ndarray], PinMotion]
-
-
 class LabelledTaps(NamedTuple):
     """Taps of another day, and the digest of their folder."""
 
@@ -78,13 +74,11 @@ def fit_pin_motion(
     return PinMotion(motion, shift, float(np.degrees(turn)), float(np.sqrt(left.mean())))
 
 
-def adapt(
-    run: Path, taps: Path, out: Path, data_dir: Path, fit: MotionFit = fit_pin_motion
-) -> PinMotion:
+def adapt(run: Path, taps: Path, out: Path, data_dir: Path) -> PinMotion:
     """Write the run to `out`, adapted to labelled taps of another day; return the pins' motion.
 
-    `fit` finds it from the motions of pins. Half-widths grow by as much as PoseNet errs more on
-    these taps than on the run's own. Raises UserError, and then leaves nothing behind.
+    Half-widths grow by as much as PoseNet errs more on these taps than on the run's own. Raises
+    UserError, and then leaves nothing behind.
     """
     check_finished_run(run)
     if out.exists():
@@ -96,7 +90,7 @@ def adapt(
     render = HelperLoader(experiment, data_dir, run).load_renderer()
     frame = read_object(run / FRAME)
     place = np.array(frame["place_px"])
-    moved = fit(rows["pins"] - render(rows["pose"]), place)
+    moved = fit_pin_motion(rows["pins"] - render(rows["pose"]), place)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as folder_of_part:
         part = Path(folder_of_part) / out.name
