@@ -46,7 +46,6 @@ OTHER = "other recordings (locked)"
 WAYS = {
     "as it is": "as it is",
     "adapted": "**adapted by 50 taps**",
-    "known": "adapted by the motion itself",
 }
 SHARES = ("0.01", "0.05", "0.1", "0.3", "1.0")
 UNLABELLED = ("left_out", "pseudo_label")

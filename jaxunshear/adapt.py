@@ -2,13 +2,13 @@
 
 >>> adapt(Path("runs/edge"), Path("recordings/monday_taps"), Path("runs/edge_monday"), data)
 
-The renderer says where the pins of each tap should stand. What they differ by on average, as a
-shift, a turn and a scale of each ring, moves the frame of all networks; nothing is trained.
+The renderer says where the pins of each tap should stand. The mean difference of each pin moves the
+frame of all networks; nothing is trained.
 """
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -37,19 +37,16 @@ from jaxunshear.training.checkpoint import FRAME_SHIFT, MODEL, load_network, mov
 from jaxunshear.training.examples import FRAME, HelperLoader
 
 MIN_TAPS = 20
+MIN_SEEN = 10  # taps that show a pin, for a mean of its own
 
 
 class PinMotion(NamedTuple):
     """How pins stand elsewhere than on the day of the training."""
 
     motion_px: Float[np.ndarray, "P 2"]
-    shift_px: np.ndarray  # (2,)
-    turn_deg: float
-    ring_px: np.ndarray  # (R,) outwards, by ring
-
-
-# motions (N, P, 2) of pins, their rest positions (P, 2) px and rings (P,) -> the motion of all
-MotionFit = Callable[[np.ndarray, np.ndarray, np.ndarray], PinMotion]
+    shift_px: np.ndarray  # (2,), of all pins
+    turn_deg: float  # of all pins
+    left_px: float  # root mean square of what shift and turn leave of the motion
 
 
 class LabelledTaps(NamedTuple):
@@ -60,28 +57,28 @@ class LabelledTaps(NamedTuple):
 
 
 def fit_pin_motion(
-    motions: Float[np.ndarray, "N P 2"], rest: Float[np.ndarray, "P 2"], ring: np.ndarray
+    motions: Float[np.ndarray, "N P 2"], rest: Float[np.ndarray, "P 2"]
 ) -> PinMotion:
-    """Fit a shift, a turn and a scale of each ring to the motions of pins, NaN where unknown."""
-    mean, offset = np.nanmean(motions, axis=0), rest - rest.mean(axis=0)
-    shift = np.nanmean(mean, axis=0)
+    """Take the mean of each pin's motions, NaN where unknown.
+
+    Pins that fewer than MIN_SEEN taps show get a shift and a turn, fitted to the others.
+    """
+    is_seen = np.isfinite(motions).all(axis=2).sum(axis=0) >= MIN_SEEN
+    mean, offset = np.nanmean(motions[:, is_seen], axis=0), rest - rest[is_seen].mean(axis=0)
+    shift = mean.mean(axis=0)
     across = np.stack([-offset[:, 1], offset[:, 0]], axis=-1)
-    turn = np.nansum((mean - shift) * across) / np.square(offset).sum()
-    length = np.linalg.norm(offset, axis=1, keepdims=True)
-    outwards = offset / np.where(length > 0, length, np.inf)
-    radial = ((mean - shift) * outwards).sum(axis=1)
-    ring_px = np.array([np.nanmean(radial[ring == number]) for number in range(ring.max() + 1)])
-    motion = shift + turn * across + ring_px[ring][:, None] * outwards
-    return PinMotion(motion, shift, float(np.degrees(turn)), ring_px)
+    turn = np.sum((mean - shift) * across[is_seen]) / np.square(across[is_seen]).sum()
+    motion = shift + turn * across
+    left = np.square(mean - motion[is_seen]).sum(axis=1)
+    motion[is_seen] = mean
+    return PinMotion(motion, shift, float(np.degrees(turn)), float(np.sqrt(left.mean())))
 
 
-def adapt(
-    run: Path, taps: Path, out: Path, data_dir: Path, fit: MotionFit = fit_pin_motion
-) -> PinMotion:
+def adapt(run: Path, taps: Path, out: Path, data_dir: Path) -> PinMotion:
     """Write the run to `out`, adapted to labelled taps of another day; return the pins' motion.
 
-    `fit` finds it from the motions of pins. Half-widths grow by as much as PoseNet errs more on
-    these taps than on the run's own. Raises UserError, and then leaves nothing behind.
+    Half-widths grow by as much as PoseNet errs more on these taps than on the run's own. Raises
+    UserError, and then leaves nothing behind.
     """
     check_finished_run(run)
     if out.exists():
@@ -92,8 +89,8 @@ def adapt(
     rows, digest = _read_taps(cast(Recorded, experiment.paired), run, taps, data_dir)
     render = HelperLoader(experiment, data_dir, run).load_renderer()
     frame = read_object(run / FRAME)
-    place, ring = np.array(frame["place_px"]), np.array(frame["shell"])
-    moved = fit(rows["pins"] - render(rows["pose"]), place, ring)
+    place = np.array(frame["place_px"])
+    moved = fit_pin_motion(rows["pins"] - render(rows["pose"]), place)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as folder_of_part:
         part = Path(folder_of_part) / out.name

@@ -201,10 +201,9 @@ def adapt(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.adapt import adapt
 
     moved = adapt(arguments.run, arguments.taps, arguments.out, arguments.data)
-    shift, rings = moved.shift_px, moved.ring_px
     print(
-        f"pins are shifted by ({shift[0]:.2f}, {shift[1]:.2f}) px, turned by "
-        f"{moved.turn_deg:.2f} deg, and moved by up to {abs(rings).max():.2f} px in or out"
+        "pins are shifted by ({:.2f}, {:.2f}) px, turned by {:.2f} deg, and further moved by "
+        "{:.2f} px rms".format(*moved.shift_px, moved.turn_deg, moved.left_px)
     )
     print(arguments.out)
     return 0

@@ -82,15 +82,23 @@ def test_simulated_runs_are_refused(monday, tmp_path, command):
     assert answer.code == 2 and "released weights" in answer.err
 
 
-def test_a_fitted_motion_has_shift_turn_and_rings():
-    ring = np.repeat([0, 1, 2], [1, 6, 12])
-    angle = np.concatenate([[0], np.arange(6) * np.pi / 3, np.arange(12) * np.pi / 6])
-    rest = ring[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    outwards = rest / np.maximum(ring, 1)[:, None]
-    turned = rest @ rotation_2d(1e-3).T - rest
-    motion = np.array([0.3, -0.1]) + turned + (0.02 * ring**2)[:, None] * outwards
-    found = fit_pin_motion(np.stack([motion, motion]), rest, ring)
-    np.testing.assert_allclose(found.motion_px, motion, atol=1e-5)
-    np.testing.assert_allclose(found.shift_px, [0.3, -0.1], atol=1e-9)
+def test_a_fitted_motion_is_the_mean_of_each_pin():
+    rest = np.random.default_rng(0).uniform(-10, 10, (19, 2))
+    noise = np.random.default_rng(1).normal(0, 0.1, (30, 19, 2))
+    motions = np.array([0.3, -0.1]) + noise - noise.mean(axis=0)
+    motions[:, 0] += 0.5  # one pin by itself
+    found = fit_pin_motion(motions, rest)
+    np.testing.assert_allclose(found.motion_px, motions.mean(axis=0), atol=1e-12)
+
+
+def test_pins_that_are_rarely_seen_take_the_motion_of_the_others():
+    rest = np.random.default_rng(0).uniform(-10, 10, (19, 2))
+    middle = rest[1:].mean(axis=0)
+    turned = (rest - middle) @ rotation_2d(1e-3).T + middle - rest
+    motions = np.tile(np.array([0.3, -0.1]) + turned, (30, 1, 1))
+    motions[9:, 0] = np.nan
+    found = fit_pin_motion(motions, rest)
+    np.testing.assert_allclose(found.motion_px, motions[0], atol=1e-5)
+    np.testing.assert_allclose(found.shift_px, [0.3, -0.1], atol=1e-5)
     assert found.turn_deg == pytest.approx(np.degrees(1e-3), rel=1e-3)
-    np.testing.assert_allclose(found.ring_px, [0, 0.02, 0.08], atol=1e-5)
+    assert found.left_px < 1e-5
