@@ -9,7 +9,7 @@ from jaxunshear.config.training import Training
 from jaxunshear.models.weights import Variables
 from jaxunshear.training.step import State, make_optimiser, make_step
 from jaxunshear.training.tasks import Batch, Task
-from jaxunshear.training.trainer import get_compile_options, make_first_state
+from jaxunshear.training.trainer import get_compile_options, jit_first_state
 
 
 def init_variables(init: Callable[[jax.Array], Variables], seed: int = 0) -> Variables:
@@ -23,7 +23,7 @@ def make_timed_step(
     """Make a training step, not yet compiled, and the state before the first step."""
     optimiser = make_optimiser(training, 1000, 100)
     step = make_step(task, training, optimiser, jax.random.key(1))
-    return step, make_first_state(task, optimiser, jax.random.key(0))
+    return step, jit_first_state(task, optimiser)(jax.random.key(0))
 
 
 def make_noise_images(images: int, size: int) -> np.ndarray:

@@ -27,7 +27,7 @@ from jaxunshear.training import checkpoint
 from jaxunshear.training.monitor import check_state, check_terms
 from jaxunshear.training.step import State, make_optimiser, make_step
 from jaxunshear.training.tasks import Task, make_posenet_task, make_unshear_task
-from jaxunshear.training.trainer import make_first_state
+from jaxunshear.training.trainer import jit_first_state
 from verification.network_images import Batch
 from verification.stability_networks import CaseOutput
 
@@ -80,7 +80,7 @@ def _compile(net: Net, training: Training) -> Programs:
 
     optimiser = make_optimiser(training, STEPS, 1)
     infer_ = jax.jit(lambda variables, images: infer_all(net, variables, images))
-    return Programs(make_first_state(task, optimiser, jax.random.key(0)), jax.jit(step), infer_)
+    return Programs(jit_first_state(task, optimiser)(jax.random.key(0)), jax.jit(step), infer_)
 
 
 def run_steps(

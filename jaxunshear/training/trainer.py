@@ -9,13 +9,16 @@ ends with the very bits of an undisturbed one. The losses are in tasks.py, the s
 """
 
 import contextlib
+import contextvars
 import json
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import optax
@@ -91,6 +94,12 @@ class TrainingProgress:
         return min(losses, default=math.inf)
 
 
+class CompiledStep(NamedTuple):
+    function: Callable[[State, Batch], tuple[State, dict[str, Array]]]
+    batch: Batch  # the first
+    seconds: float  # that compiling took
+
+
 class FinishedStep(NamedTuple):
     number: int  # the first is 1
     terms: dict[str, Array]
@@ -124,21 +133,27 @@ def train(
     keep_freed_memory()
     optimiser = make_optimiser(training, steps, steps_per_epoch)
     key_init, key_steps = jax.random.split(jax.random.key(seed))
-    first_state = make_first_state(task, optimiser, key_init, provenance.start)
-    state, progress = _restore_latest(folder, first_state)
-    _write_log(folder, progress.history)
     step = make_step(task, training, optimiser, key_steps)
     rate = make_schedule(training, steps, steps_per_epoch)
     # compiled kernels cannot be split over devices
     form = compiled_kernels.use_form("xla") if devices.mesh else contextlib.nullcontext()
-    batches = iter(data.batches(progress.step))
+    first = checkpoint.find_latest_step(folder) or 0
+    batches = iter(data.batches(first))
+    make_state = jit_first_state(task, optimiser)
+    origin = (key_init, provenance.start.variables if provenance.start else None)
     with (
         form,
         contextlib.closing(prefetch(batches, devices.with_batch)) as stream,
-        open_events(folder, progress.step, rate) as log,
+        open_events(folder, first, rate) as log,
+        ThreadPoolExecutor(1, "compile") as thread,
     ):
+        # to compile the step takes one core, and what makes the first state another
+        compile_step = partial(_compile_step, run, step, make_state.eval_shape(*origin), stream)
+        compiled = thread.submit(contextvars.copy_context().run, compile_step)
+        state, progress = _restore_latest(folder, make_state(*origin))
+        _write_log(folder, progress.history)
         measure = make_measurement(task, data.validation)
-        state = _run_steps(run, step, state, progress, stream, measure, log)
+        state = _run_steps(run, compiled.result(), state, progress, stream, measure, log)
     size = measure_size(task.net, state.average, count_outputs(task.targets))
     return _finish(run, progress, size)
 
@@ -164,22 +179,16 @@ def _describe(
     return settings
 
 
-def make_first_state(
-    task: Task,
-    optimiser: optax.GradientTransformation,
-    key: Array,
-    start: InitialWeights | None = None,
-) -> State:
-    """Make the state before the first step."""
+def jit_first_state(task: Task, optimiser: optax.GradientTransformation) -> Any:
+    """Jit what makes the state before the first step, of a key and of weights to start from."""
 
-    def make(key: Array, start_variables: Tree) -> State:
+    def make(key: Array, start: Tree | None = None) -> State:
         variables = task.init(key)
-        if start:
-            variables = replace_weights(variables, start_variables)
+        if start is not None:
+            variables = replace_weights(variables, start)
         return init_state(variables, optimiser)
 
-    compiled = jax.jit(make, compiler_options=get_compile_options())
-    return compiled(key, start.variables if start else None)
+    return jax.jit(make, compiler_options=get_compile_options())
 
 
 def _restore_latest(folder: Path, state: State) -> tuple[State, TrainingProgress]:
@@ -192,9 +201,25 @@ def _restore_latest(folder: Path, state: State) -> tuple[State, TrainingProgress
     return state, TrainingProgress(**{name: record[name] for name in kept})
 
 
-def _run_steps(
+def _compile_step(
     run: TrainingRun,
     step: Callable[[State, Batch], tuple[State, dict[str, Array]]],
+    shapes: State,
+    stream: Iterator[Batch],
+) -> CompiledStep:
+    """Compile a step for the first batch of `stream` and for states of these shapes."""
+    batch = next(stream)
+    began = time.perf_counter()
+    on_each = run.devices.on_each
+    shapes = jax.tree.map(lambda shape: shape.update(sharding=on_each), shapes)
+    jitted = jax.jit(step, donate_argnums=0, out_shardings=on_each)
+    compiled = jitted.lower(shapes, batch).compile()
+    return CompiledStep(compiled, batch, time.perf_counter() - began)
+
+
+def _run_steps(
+    run: TrainingRun,
+    step: CompiledStep,
     state: State,
     progress: TrainingProgress,
     stream: Iterator[Batch],
@@ -206,17 +231,14 @@ def _run_steps(
     Returns the last state. The terms of a step are inspected while the next one runs.
     """
     folder, size = run.folder, run.training.batch
-    state, batch = run.devices.with_state(state), next(stream)
-    began = time.perf_counter()
-    jitted = jax.jit(step, donate_argnums=0, out_shardings=run.devices.on_each)
-    compiled = jitted.lower(state, batch).compile()
-    progress.compile_seconds += time.perf_counter() - began
+    state, batch = run.devices.with_state(state), step.batch
+    progress.compile_seconds += step.seconds
 
     with Progress(f"train {folder.name}", run.steps * size, done=progress.step * size) as bar:
         began = time.perf_counter()
         unchecked: list[FinishedStep] = []
         for number in range(progress.step + 1, run.steps + 1):
-            state, metrics = compiled(state, batch)
+            state, metrics = step.function(state, batch)
             unchecked.append(FinishedStep(number, metrics, batch))
             if number < run.steps:
                 batch = next(stream)

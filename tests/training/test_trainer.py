@@ -7,6 +7,7 @@ import math
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -75,6 +76,28 @@ def test_summary_log_and_settings(straight):
     assert summary.best_step == best["step"]
     assert summary.best_loss == best["validation"]["supervised"]
     assert checkpoint.read_net(folder) == small.NET
+
+
+def test_a_step_compiles_while_the_first_state_is_made(tmp_path, monkeypatch):
+    both_at_work = threading.Barrier(2, timeout=60)
+    jit_first_state, compile_step = trainer.jit_first_state, trainer._compile_step
+
+    class Meeting:
+        def __init__(self, *args):
+            self.made = jit_first_state(*args)
+            self.eval_shape = self.made.eval_shape
+
+        def __call__(self, *args):
+            both_at_work.wait()
+            return self.made(*args)
+
+    def meet_and_compile(*args):
+        both_at_work.wait()
+        return compile_step(*args)
+
+    monkeypatch.setattr(trainer, "jit_first_state", Meeting)
+    monkeypatch.setattr(trainer, "_compile_step", meet_and_compile)
+    assert small.train(tmp_path).compile_seconds > 0
 
 
 def test_few_examples_are_repeated_up_to_the_least_number_of_steps(straight, tmp_path):
