@@ -62,13 +62,14 @@ BASE_EXPERIMENT = Experiment(
         validate_every=250,
         validation_images=512,
     ),
-    # chosen on validation contacts of an edge
+    # chosen on validation contacts of an edge, and of an edge and a surface together
     train_pins=replace(
         PIN_TRAINING,
         epochs=25,
         min_steps=500,
         optimiser="muon",
         learning_rate=1e-2,
+        losses={**PIN_TRAINING.losses, "pose_label": 0.1},
         validate_every=250,
     ),
 )

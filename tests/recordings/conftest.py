@@ -15,7 +15,8 @@ SHORT = (
     *("--unshear.input", "pins", "--train_pins.epochs", "12", "--train_pins.batch", "16"),
     *("--train_pins.min_steps", "1", "--train_pins.validate_every", "40"),
     *("--train_pins.optimiser", "adam"),
-    *("--train_pins.learning_rate", "3e-3", "--pins.conv_channels", "4,6"),
+    *("--train_pins.learning_rate", "3e-3", "--train_pins.losses.pose_label", "1"),
+    *("--pins.conv_channels", "4,6"),
 )
 
 
