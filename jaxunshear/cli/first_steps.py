@@ -9,6 +9,7 @@ from jaxunshear.cli.program import define_command, integer, path
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_bytes
 from jaxunshear.output_checks import check_new_picture, check_not_among, check_outside
+from jaxunshear.progress import Progress
 
 if TYPE_CHECKING:
     from jaxunshear.inference.trained_model import TrainedModel
@@ -66,10 +67,14 @@ def show_frames(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.report import show
 
     check_new_picture(out, show.PNG_SOFTWARE)
-    model = _load_model(path, arguments)
-    adapt_to_dome(model, arguments.untouched)
-    frames = show.predict_frames(path, model)
-    write_bytes(out, show.plot_frames(frames, model))
+    with Progress("show", 3, "steps") as progress:
+        model = _load_model(path, arguments)
+        adapt_to_dome(model, arguments.untouched)
+        progress.advance()
+        frames = show.predict_frames(path, model)
+        progress.advance()
+        write_bytes(out, show.plot_frames(frames, model))
+        progress.advance()
     for frame in frames:
         print("\n  ".join([f"{frame.name}: {frame.sentence}", *show.format_poses(frame.poses)]))
     print(out)
