@@ -154,8 +154,8 @@ def train(
         _write_log(folder, progress.history)
         measure = make_measurement(task, data.validation)
         state = _run_steps(run, compiled.result(), state, progress, stream, measure, log)
-    size = measure_size(task.net, state.average, count_outputs(task.targets))
-    return _finish(run, progress, size)
+        size = measure_size(task.net, state.average, count_outputs(task.targets))
+        return _finish(run, progress, size)
 
 
 def _describe(
