@@ -225,7 +225,6 @@ def _make_stream_networks(net: UnshearNet, pose_net: PoseNet) -> dict[str, Train
 
 
 def _make_engine_work(net: UnshearNet, pose_net: PoseNet, image: np.ndarray) -> Work:
-    """Make the work of `stream` where the extra `onnx` is installed."""
     from jaxunshear.apps.export.engine import compile_for_frames
 
     run = compile_for_frames(_make_stream_networks(net, pose_net), False)

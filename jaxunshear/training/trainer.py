@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import optax
@@ -148,7 +148,8 @@ def train(
         ThreadPoolExecutor(1, "compile") as thread,
     ):
         # to compile the step takes one core, and what makes the first state another
-        compile_step = partial(_compile_step, run, step, make_state.eval_shape(*origin), stream)
+        shapes = make_state.trace(*origin).out_info
+        compile_step = partial(_compile_step, run, step, shapes, stream)
         compiled = thread.submit(contextvars.copy_context().run, compile_step)
         state, progress = _restore_latest(folder, make_state(*origin))
         _write_log(folder, progress.history)
@@ -179,7 +180,7 @@ def _describe(
     return settings
 
 
-def jit_first_state(task: Task, optimiser: optax.GradientTransformation) -> Any:
+def jit_first_state(task: Task, optimiser: optax.GradientTransformation) -> jax.stages.Wrapped:
     """Jit what makes the state before the first step, of a key and of weights to start from."""
 
     def make(key: Array, start: Tree | None = None) -> State:
