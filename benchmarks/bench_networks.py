@@ -358,9 +358,9 @@ def _time_in_turns(works: dict[str, Work], rounds: Rounds) -> tuple[dict[str, li
 
 def format_table(rows: Sequence[Json]) -> str:
     """Format rows for people."""
-    lines = [f"{'':24} px   batch  images/s  ms/image     p95  ratio  share  compile s"]
+    lines = [f"{'':26} px   batch  images/s  ms/image     p95  ratio  share  compile s"]
     for row in rows:
-        head = f"{row['name']:24} {row['size']:<4} {row['batch']:<5}"
+        head = f"{row['name']:26} {row['size']:<4} {row['batch']:<5}"
         if row["failed"]:
             absent = NOT_INSTALLED in row["failed"]
             lines.append(f"{head}  {'' if absent else 'FAILED: '}{row['failed']}")

@@ -9,7 +9,7 @@ One PoseNet learns from taps alone, another from slides alone; the networks that
 both.
 
 Expected of 5,000 taps and 5,000 slides of an edge (three seeds; docs/results/recorded_pins.json,
-recorded_images.json): over pins y .12 mm for taps, .16 unsheared and .16 learnt directly; over
+recorded_images.json): over pins y .12 mm for taps, .15 unsheared and .16 learnt directly; over
 images .19, .28 and .31 mm. Over pins the trainings of a seed took 8 minutes on two cores of an AMD
 EPYC, beside other work that took most of both; over images 17 to 20 minutes on one or two.
 
