@@ -33,7 +33,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import compiled_kernels
-from jaxunshear.models.operations import NetworkSize, measure_size
+from jaxunshear.models.operations import measure_size
 from jaxunshear.progress import Progress
 from jaxunshear.results import record_files
 from jaxunshear.results.measurement import TrainingSummary
@@ -155,8 +155,7 @@ def train(
         _write_log(folder, progress.history)
         measure = make_measurement(task, data.validation)
         state = _run_steps(run, compiled.result(), state, progress, stream, measure, log)
-        size = measure_size(task.net, state.average, count_outputs(task.targets))
-        return _finish(run, progress, size)
+        return _finish(run, progress, state.average)
 
 
 def _describe(
@@ -277,9 +276,10 @@ def _write_checkpoint(
     _write_log(run.folder, progress.history)
 
 
-def _finish(run: TrainingRun, progress: TrainingProgress, size: NetworkSize) -> TrainingSummary:
+def _finish(run: TrainingRun, progress: TrainingProgress, variables: Tree) -> TrainingSummary:
     """Write the summary. Raises UserError if no validation loss was finite."""
     task, devices = run.task, run.devices
+    size = measure_size(task.net, variables, count_outputs(task.targets))
     best_loss = progress.find_best_loss(task.selection_term)
     if math.isinf(best_loss):
         raise UserError(
