@@ -47,8 +47,8 @@ clean:
 	rm -rf .venv build dist site .pytest_cache .ruff_cache .mypy_cache *.egg-info
 	find jaxunshear verification benchmarks data_specs tests experiments -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# A stamp is written last: an install that was interrupted is done again. Byte code is compiled on all cores, which pip
-# does on one, and for the tests of packages, too.
+# A stamp is written last: an install that was interrupted is done again. Byte code is compiled on all cores, without
+# the tests of packages; pip compiles all of it on one core.
 $(RUNTIME): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' || \
 		{ echo "Python 3.11, 3.12 or 3.13 is needed; name one: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 2; }

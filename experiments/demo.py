@@ -7,7 +7,8 @@ Expected on poses never trained on: MS-SSIM to the tap of at least 0.90 (0.45 at
 sheared image itself), and a PoseNet trained on taps whose errors in edge distance and edge angle
 are at most 0.6 times as large on the unsheared images as on the sheared ones. Measured
 (docs/results/demo.json, two cores of an Intel Xeon): four seeds took 8 to 9 minutes each after the
-data were made, one took 20.
+data were made, one took 20. On two idle cores of an AMD EPYC `make demo` took 7 minutes, with
+installs.
 
 The friction is 0.7. With the fitted sensor of calibrated.py, training of the same length undoes
 less of the slide's damage: 15 % in edge distance, where the demo undoes 69 %

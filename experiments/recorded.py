@@ -10,8 +10,8 @@ both.
 
 Expected of 5,000 taps and 5,000 slides of an edge (three seeds; docs/results/recorded_pins.json,
 recorded_images.json): over pins y .12 mm for taps, .15 unsheared and .16 learnt directly; over
-images .19, .28 and .31 mm. Over pins the trainings of a seed took 8 minutes on two cores of an AMD
-EPYC, beside other work that took most of both; over images 17 to 20 minutes on one or two.
+images .19, .28 and .31 mm. Over pins a seed took 4 minutes on two idle cores of an AMD EPYC,
+with reading and scores, and 7 on one; over images 17 to 20 minutes on one or two.
 
 For a surface instead of an edge, change the targets:
 

@@ -151,7 +151,7 @@ def train(
         shapes = make_state.trace(*origin).out_info
         compile_step = partial(_compile_step, run, step, shapes, stream)
         compiled = thread.submit(contextvars.copy_context().run, compile_step)
-        state, progress = _restore_latest(folder, make_state(*origin))
+        state, progress = _restore(folder, first, make_state(*origin))
         _write_log(folder, progress.history)
         measure = make_measurement(task, data.validation)
         state = _run_steps(run, compiled.result(), state, progress, stream, measure, log)
@@ -191,9 +191,8 @@ def jit_first_state(task: Task, optimiser: optax.GradientTransformation) -> jax.
     return jax.jit(make, compiler_options=get_compile_options())
 
 
-def _restore_latest(folder: Path, state: State) -> tuple[State, TrainingProgress]:
-    """Restore the latest checkpoint; without one, return `state` and no progress."""
-    step = checkpoint.find_latest_step(folder)
+def _restore(folder: Path, step: int, state: State) -> tuple[State, TrainingProgress]:
+    """Restore the checkpoint of a step; of step 0, return `state` and no progress."""
     if not step:
         return state, TrainingProgress()
     state, record = checkpoint.restore(folder, step, state)

@@ -32,7 +32,7 @@ def compile_for_frames(
     networks: Mapping[str, TrainedNetwork], with_sheared_poses: bool
 ) -> RunNetworks:
     """Do as `compile_networks`, by onnxruntime if JAX is on a CPU and all networks take images."""
-    suited = all(_has_small_convolutions(network.net) for network in networks.values())
+    suited = all(_has_onnx_form(network.net) for network in networks.values())
     if not suited or jax.default_backend() != "cpu":
         return compile_networks(networks, with_sheared_poses)
     graph, unsheared = OnnxGraph(), ""
@@ -53,6 +53,7 @@ def compile_for_frames(
         graph.add_output(kind, pose, ("batch", len(targets)))
     model = graph.build(INPUT, ("batch", 1, size, size), FLOAT, {}).SerializeToString()
     options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3  # errors alone
     # threads that wait for work in a loop take cores from a camera's driver
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
@@ -71,6 +72,6 @@ def compile_for_frames(
     return run
 
 
-def _has_small_convolutions(net: Net) -> bool:
-    is_unshearnet = isinstance(net, UnshearNet) and not net.separate_encoders
-    return is_unshearnet or isinstance(net, PoseNet)
+def _has_onnx_form(net: Net) -> bool:
+    is_unshearnet = type(net) is UnshearNet and not net.separate_encoders
+    return is_unshearnet or type(net) is PoseNet
