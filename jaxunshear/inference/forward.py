@@ -8,13 +8,21 @@ give (B, S, S, 1) in [0, 1].
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
-from jaxunshear.config.networks import DISENTANGLED, POSENET, POSENET_SHEARED
+from jaxunshear.config.networks import (
+    DISENTANGLED,
+    POSENET,
+    POSENET_SHEARED,
+    PinPoseNet,
+    PoseNet,
+)
 from jaxunshear.models import posenet
 from jaxunshear.models.registry import predict, scale_inputs, unshear
 from jaxunshear.models.weights import Tree, Variables
@@ -26,6 +34,8 @@ BATCH = 32
 
 # (variables by network, inputs) -> unsheared or as they are, and pose by quantity, (B,) each
 Forward = Callable[[Variables, Array], tuple[Array, dict[str, Array]]]
+# scaled inputs -> unsheared ones, or a pose by quantity, (B,) each
+RunNetwork = Callable[..., Tree]
 # scaled inputs -> unsheared if a network does so, and poses by kind and quantity
 RunNetworks = Callable[..., Tree]
 Outputs = TypeVar("Outputs")
@@ -36,52 +46,59 @@ def make_forward(networks: Mapping[str, TrainedNetwork]) -> Forward:
 
     def forward(variables: Variables, inputs: Array) -> tuple[Array, dict[str, Array]]:
         values = scale_inputs(inputs)
-        *unshearing, (last, pose_network) = networks.items()
-        for name, network in unshearing:
-            values = unshear(network.net, variables[name], values)
-        outputs = predict(pose_network.net, variables[last], values)
-        return values, posenet.unscale_outputs(outputs, pose_network.targets)
+        *unshearing, predict_pose = bind_networks(networks, variables).values()
+        for run in unshearing:
+            values = run(values)
+        return values, predict_pose(values)
 
     return forward
 
 
-def make_full_forward(
-    networks: Mapping[str, TrainedNetwork], with_sheared_poses: bool
-) -> Callable[[Variables, Array], tuple[Array | None, dict[str, dict[str, Array]]]]:
-    """Make a function of scaled inputs to the unsheared ones and poses by kind and quantity.
+def bind_networks(
+    networks: Mapping[str, TrainedNetwork], variables: Variables
+) -> dict[str, RunNetwork]:
+    """Make a function of scaled inputs of each network."""
 
-    The unsheared ones are None without a network that unshears. `with_sheared_poses`: poses of the
-    inputs as they are, too, where others can be had.
+    def bind(name: str) -> RunNetwork:
+        net, _, targets = networks[name]
+        if not isinstance(net, PoseNet | PinPoseNet):
+            return partial(unshear, net, variables[name])
+        predict_pose = partial(predict, net, variables[name])
+        return lambda values: posenet.unscale_outputs(predict_pose(values), targets)
+
+    return {name: bind(name) for name in networks}
+
+
+def chain_networks(runs: Mapping[str, RunNetwork], with_sheared_poses: bool) -> RunNetworks:
+    """Chain functions of networks, by name, into one of scaled inputs.
+
+    The unsheared inputs are None without a network that unshears. `with_sheared_poses`: poses of
+    the inputs as they are, too, where others can be had.
     """
 
-    def forward(
-        variables: Variables, values: Array
-    ) -> tuple[Array | None, dict[str, dict[str, Array]]]:
-        def predict_pose(name: str, values: Array) -> dict[str, Array]:
-            outputs = predict(networks[name].net, variables[name], values)
-            return posenet.unscale_outputs(outputs, networks[name].targets)
-
-        unsheared = None
-        if DISENTANGLED in networks:
-            unsheared = unshear(networks[DISENTANGLED].net, variables[DISENTANGLED], values)
+    def run(values: ArrayLike) -> tuple[Array | None, dict[str, dict[str, Array]]]:
+        unsheared = runs[DISENTANGLED](values) if DISENTANGLED in runs else None
         poses = {}
-        if POSENET in networks and (with_sheared_poses or unsheared is None):
-            poses[AS_RECORDED] = predict_pose(POSENET, values)
-        if POSENET in networks and unsheared is not None:
-            poses[UNSHEARED] = predict_pose(POSENET, unsheared)
-        if POSENET_SHEARED in networks:
-            poses[LEARNT] = predict_pose(POSENET_SHEARED, values)
+        if POSENET in runs and (with_sheared_poses or unsheared is None):
+            poses[AS_RECORDED] = runs[POSENET](values)
+        if POSENET in runs and unsheared is not None:
+            poses[UNSHEARED] = runs[POSENET](unsheared)
+        if POSENET_SHEARED in runs:
+            poses[LEARNT] = runs[POSENET_SHEARED](values)
         return unsheared, poses
 
-    return forward
+    return run
 
 
 def compile_networks(
     networks: Mapping[str, TrainedNetwork], with_sheared_poses: bool
 ) -> RunNetworks:
-    """Compile `make_full_forward` with the weights of networks."""
-    variables = {name: network.variables for name, network in networks.items()}
-    return jit_for_inference(make_full_forward(networks, with_sheared_poses), variables)
+    """Compile `chain_networks` with the weights of networks."""
+
+    def run(variables: Variables, values: Array) -> Tree:
+        return chain_networks(bind_networks(networks, variables), with_sheared_poses)(values)
+
+    return jit_for_inference(run, {name: network.variables for name, network in networks.items()})
 
 
 def compute_confidence(image: Array) -> Array:

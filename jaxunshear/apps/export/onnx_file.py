@@ -82,9 +82,7 @@ def make_onnx_runner(model: bytes, parts: ExportedModel) -> Run:
 
     It runs on the CPU.
     """
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3  # errors alone
-    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    session = open_session(model)
     input_name = session.get_inputs()[0].name
     names = [output.name for output in session.get_outputs()]
 
@@ -96,3 +94,12 @@ def make_onnx_runner(model: bytes, parts: ExportedModel) -> Run:
         return outputs
 
     return run
+
+
+def open_session(model: bytes) -> onnxruntime.InferenceSession:
+    """Open a file of ONNX on the CPU."""
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3  # errors alone
+    # threads that wait for work in a loop take cores from a camera's driver
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])

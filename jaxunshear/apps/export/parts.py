@@ -26,8 +26,9 @@ from jaxunshear.inference.forward import (
     AS_RECORDED,
     LEARNT,
     UNSHEARED,
+    bind_networks,
+    chain_networks,
     compute_confidence,
-    make_full_forward,
 )
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models.registry import scale_inputs
@@ -117,8 +118,8 @@ def make_exported_function(parts: ExportedModel) -> Callable[[Array], Json]:
     not, confidence is 0 and the others are NaN. An output that the model has no network for is left
     out.
     """
-    forward = make_full_forward(parts.networks, with_sheared_poses=False)
     variables = {name: network.variables for name, network in parts.networks.items()}
+    forward = chain_networks(bind_networks(parts.networks, variables), with_sheared_poses=False)
 
     def run(inputs: Array) -> Json:
         inputs = scale_inputs(inputs)
@@ -128,7 +129,7 @@ def make_exported_function(parts: ExportedModel) -> Callable[[Array], Json]:
         else:
             confidence = add_pin_plausibility(JaxGraph(), parts.check, inputs)
         sure = confidence >= MIN_PLAUSIBILITY
-        unsheared, poses = forward(variables, inputs)
+        unsheared, poses = forward(inputs)
         outputs: Json = {}
         if poses:
             (outputs["pose"],) = poses.values()
