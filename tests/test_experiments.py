@@ -145,7 +145,7 @@ def test_paper_is_appendix_b():
     ):
         assert (training.learning_rate, training.beta1) == (1e-4, 0.5)
         assert (training.batch, training.epochs) == (batch, epochs)
-        assert (training.schedule, training.drops) == ("steps", drops)
+        assert training.drops == drops
         assert (training.l1, training.l2, training.kernels) == (1e-3, 1e-3, "mean")
         assert training.ema_decay == 0
         assert 0.01 <= training.shift <= 0.02

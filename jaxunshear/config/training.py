@@ -37,9 +37,9 @@ class Training:
     # further with each image
     optimiser: Literal["adam", "muon"] = "adam"
     learning_rate: Share = 1e-3  # learning rate at the start
-    # how the learning rate falls: "cosine", to zero over the run; "steps", by the factors of drops
-    schedule: Literal["cosine", "steps"] = "cosine"
-    drops: Drops = ()  # for schedule "steps": epoch, and factor on the first learning rate
+    # schedule in steps: epochs, and factors on the first learning rate from there on; without any
+    # it falls to zero over the run, as a cosine
+    drops: Drops = ()
     # decay of Adam's first moment; with "muon" Adam trains the first and last layers, biases and
     # normalisation
     beta1: Fraction = 0.5
@@ -58,6 +58,9 @@ class Training:
     # over pins: share of the simulated training poses, drawn by seed, whose slides have their tap;
     # other slides are left out
     paired_share: Share = 1.0
+    # over recorded pins: pairs of an epoch that are turned about the sensor's axis, and half of
+    # these mirrored; at most every second pair
+    rotated_pairs: Annotated[int, Bound(lambda pairs: pairs >= 0, "must not be below zero")] = 0
     # decay of the exponential moving average of the weights; 0 switches it off
     ema_decay: Fraction = 0.99
     # largest random shift of images, as a fraction of their size (the paper: 1-2 %)
@@ -72,8 +75,6 @@ class Training:
             object.__setattr__(self, "losses", LossWeights(self.losses))
 
     def find_problems(self) -> Iterator[Problem]:
-        if self.drops and self.schedule != "steps":
-            yield "drops", "have no effect with this schedule: use schedule 'steps'"
         epochs = [epoch for epoch, _ in self.drops]
         if epochs != sorted(set(epochs)):
             yield "drops", "must be in the order of their epochs"
@@ -95,6 +96,7 @@ def drop_pair_losses(training: Training, **losses: float) -> Training:
         crops=Training.crops,
         crop_px=Training.crop_px,
         paired_share=Training.paired_share,
+        rotated_pairs=Training.rotated_pairs,
     )
 
 

@@ -9,6 +9,12 @@ nearly the same all round, but its camera and its housing are not. So the networ
 angle of each example, and examples that are not turned correct what it predicts of pins that are
 not turned.
 
+rotate = make_pair_rotation(rest, share)
+batch, is_rotated = rotate(batch, key)  # {"canonical_pins", "sheared_pins"}
+
+A slide and its tap are turned together. The network that unshears is not given the angle, as what
+it predicts is turned, too. Their labels do not fit any more.
+
 randomise = make_randomisation(rest, share)  # rest in px
 # {"pins"}, or {"canonical_pins", "sheared_pins"} (B, P, 2) px, and {"edge"}
 batch = randomise(batch, key)
@@ -66,11 +72,16 @@ class Rotations(NamedTuple):
     sense: int  # 1 or -1
 
 
-def make_rotations(rest: Float[np.ndarray, "P 2"], sense: int) -> Rotations:
-    """Make the rotations of pins that rest at `rest` px, with thin-plate splines between pins."""
+def make_rotations(rest: Float[np.ndarray, "P 2"], sense: int, mirrored: bool = False) -> Rotations:
+    """Make the rotations of pins that rest at `rest` px, with thin-plate splines between pins.
+
+    `mirrored`: as many more, of mirrored pins.
+    """
     rest = np.asarray(rest, np.float64)
     radians = 2 * np.pi * np.arange(ANGLES) / ANGLES
     rotation = rotation_2d(radians)
+    if mirrored:
+        rotation = np.concatenate([rotation, rotation @ np.diag([1.0, -1.0])])
     spline = RBFInterpolator(rest, np.eye(len(rest)), neighbors=min(SPLINE_NEIGHBOURS, len(rest)))
     middle = rest.mean(axis=0)
     mixed = np.stack([spline((rest - middle) @ each + middle) for each in rotation])
@@ -184,6 +195,28 @@ def make_randomisation(
         }
 
     return randomise
+
+
+def make_pair_rotation(
+    rest: Float[np.ndarray, "P 2"], share: float
+) -> Callable[[Batch, Array], tuple[Batch, Array]]:
+    """Make the function that turns a `share` of all batches, and mirrors half of these.
+
+    Slides and their taps turn together, and labels stay. It also returns whether a batch turned.
+    """
+    rotations = make_rotations(rest, 1, mirrored=True)
+
+    def rotate(batch: Batch, key: Array) -> tuple[Batch, Array]:
+        chance_key, angle_key = jax.random.split(key)
+        is_rotated = jax.random.uniform(chance_key) < share
+        k = jax.random.randint(angle_key, (), 0, len(rotations.mixed))
+        rotated = {
+            name: jnp.where(is_rotated, value, batch[name])
+            for name, value in _rotate_batch(rotations, k, batch).items()
+        }
+        return batch | rotated, is_rotated
+
+    return rotate
 
 
 def _rotate_batch(rotations: Rotations, k: Array, batch: Batch) -> Batch:

@@ -29,7 +29,7 @@ class State(NamedTuple):
 def make_schedule(training: Training, steps: int, steps_per_epoch: float) -> optax.Schedule:
     """Make the schedule, step -> learning rate."""
     first = training.learning_rate
-    if training.schedule == "cosine":
+    if not training.drops:
         return optax.cosine_decay_schedule(first, steps)
     factors = (1.0, *(factor for _, factor in training.drops))
     return optax.join_schedules(

@@ -1,19 +1,21 @@
 """Make the task of a network of an experiment, and choose the fields of its examples."""
 
 import dataclasses
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import get_loss
 from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.networks import ENTANGLED_LARGE, RENDERER
-from jaxunshear.config.targets import Targets, list_label_fields
+from jaxunshear.config.targets import list_label_fields
 from jaxunshear.config.training import Training, uses_teacher
-from jaxunshear.data.sources import Examples, open_source
+from jaxunshear.data.sources import Examples, Teacher, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.models import pin_networks
 from jaxunshear.models.modality import PINS, Batch
@@ -24,6 +26,7 @@ from jaxunshear.training import tasks
 from jaxunshear.training.augmentation import (
     Rotations,
     find_rotation_sense,
+    make_pair_rotation,
     make_randomisation,
     make_rotations,
 )
@@ -34,6 +37,9 @@ from jaxunshear.training.examples import (
     read_all_training,
 )
 from jaxunshear.training.provenance import check_origin
+
+LABELS = {"labels", "slide_labels"}  # fields of losses
+MAX_ROTATED = 0.5  # share of the batches: with more, what is not turned is learnt worse
 
 
 def make_task(
@@ -67,16 +73,12 @@ def make_task(
         support = tasks.PinAugmentation(rotations, render)
         task = tasks.make_posenet_task(net, training, targets, facts, support)
     else:
-        teacher = None
-        if uses_teacher(training):
-            loaders = examples.load_teachers or (
-                HelperLoader(experiment, folder, folder).load_teacher,
-            )
-            teacher = tasks.join_teachers([load() for load in loaders])
-        supervision = tasks.Supervision(
-            targets, _choose_slide_targets(net, training, examples), teacher
-        )
+        load_teacher = HelperLoader(experiment, folder, folder).load_teacher
+        supervision = _supervise(net, training, examples, load_teacher)
         task = tasks.make_unshear_task(net, training, supervision, facts)
+        if training.rotated_pairs:
+            share = min(MAX_ROTATED, training.rotated_pairs / examples.per_epoch)
+            task = _rotate_pairs(task, make_pair_rotation(examples.pins.rest, share))
         pair_fields = _list_pair_fields(net, training, supervision, source.shares_slides)
         fields = (*pair_fields, *source.pair_fields)
     if modality is PINS:
@@ -86,17 +88,23 @@ def make_task(
     return task, tuple(dict.fromkeys(fields))
 
 
-def _choose_slide_targets(net: Net, training: Training, examples: Examples) -> Targets:
-    """Choose as many slide targets as the shear code has numbers, shifts before rotations.
+def _supervise(
+    net: Net, training: Training, examples: Examples, load_teacher: Callable[[], Teacher]
+) -> tasks.Supervision:
+    """Choose labels and load the teachers that a network that unshears learns from.
 
-    Raises UserError if no slide of the data differs from others.
+    There are as many slide targets as the shear code has numbers, shifts before rotations. Raises
+    UserError if no slide of the data differs from others.
     """
     count = get_functions(net).count_slide_numbers(net) if "slide" in training.losses else 0
     if count and not examples.slide_targets:
         raise UserError(
             "losses.slide: no slide of this data set is known to differ from others: leave it out"
         )
-    return examples.slide_targets[:count]
+    loaders = examples.load_teachers or (load_teacher,)
+    teachers = [load() for load in loaders if uses_teacher(training)]
+    teacher = tasks.join_teachers(teachers) if teachers else None
+    return tasks.Supervision(examples.targets, examples.slide_targets[:count], teacher)
 
 
 def _list_pair_fields(
@@ -115,6 +123,23 @@ def _list_pair_fields(
     fields += list_label_fields(supervision.slides)
     fields += sorted(loss_fields - {*partners, "labels", "slide_labels"})
     return tuple(dict.fromkeys(fields))
+
+
+def _rotate_pairs(
+    task: tasks.Task, rotate: Callable[[Batch, Array], tuple[Batch, Array]]
+) -> tasks.Task:
+    """Rotate batches; losses that take labels are then zero."""
+    labelled = [name for name in task.weights if not LABELS.isdisjoint(get_loss(name).fields)]
+
+    def terms(
+        variables: tasks.Tree, batch: Batch, key: Array
+    ) -> tuple[dict[str, Array], tasks.Tree]:
+        batch, is_rotated = rotate(batch, jax.random.fold_in(key, 2))
+        values, statistics = task.terms(variables, batch, key)
+        unknown = {name: jnp.where(is_rotated, 0, values[name]) for name in labelled}
+        return values | unknown, statistics
+
+    return dataclasses.replace(task, terms=terms)
 
 
 def _randomise_pins(task: tasks.Task, examples: Examples, share: float) -> tasks.Task:

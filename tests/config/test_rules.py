@@ -25,7 +25,7 @@ SMALL = " ".join(
 # fields whose value is out of its bounds, whatever the others are
 OUT_OF_BOUNDS = """
 train.epochs 0, train.epochs -3, train.epochs inf, train.batch 0, train.learning_rate -0.001,
-train.learning_rate nan, train.learning_rate 0, train.schedule linear, train.beta1 1,
+train.learning_rate nan, train.learning_rate 0, train.beta1 1,
 train.ema_decay 1.5, train.l1 -1, train.kernels norm, train.shift 0.7, train.validate_every 0,
 train.optimiser sgd, train.validation_images 0, train.crop_px 129, paired.poses 0, pose.poses -1,
 paired.slides 0, paired.taps 0, paired.seed -1, seed 3000000000, paired.ranges.depth_min_mm 0,
@@ -39,9 +39,8 @@ unshear.size 64, posenet.size 64, unshear.widths 8, posenet.widths 8-8, name a/b
 REFUSED = {
     "one field": [
         ("--paired.taps 3 --paired.slides 2", "--paired.taps 3: exceeds slides (2)"),
-        ("--train.drops 40:0.2", "use schedule 'steps'"),
-        ("--train.schedule steps --train.drops 80:0.1,40:0.2", "in the order"),
-        ("--train.schedule steps --train.drops 40:2", "--train.drops 40.0:2.0"),
+        ("--train.drops 80:0.1,40:0.2", "in the order"),
+        ("--train.drops 40:2", "--train.drops 40.0:2.0"),
         ("--paired.stimuli disk,box", "box is unknown: use one of disk, clover"),
         ("--paired.stimuli=", "name at least one"),
         ("--paired.stimuli disk,disk", "each stimulus once"),
@@ -85,6 +84,8 @@ REFUSED = {
         ),
         ("--train_posenet.paired_share 0.1", "leave it at 1"),
         ("--train.paired_share 0.1", "leave it at 1"),
+        (f"{PINS} --train_pins.rotated_pairs 9", "leave it at 0"),
+        ("--train_posenet.rotated_pairs 9", "leave it at 0"),
         ("--train.losses.pose_tap 0.1 --train_teacher.crops 5", "leave it at 100"),
         (f"{CONVOLVED} 4,6 --networks posenet", "changes none of the networks"),
         (

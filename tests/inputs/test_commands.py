@@ -121,7 +121,7 @@ REFUSED = [
     ("lr of no group", "run mine.py --lr 0.1", f"did you mean {LEARNING_RATES}"),
     ("bs", "run mine.py --train.bs 8", "did you mean --train.batch?"),
     ("batch_size", "run mine.py --train.batch_size 8", "did you mean --train.batch?"),
-    ("lr_schedule", "run mine.py --train.lr_schedule steps", "did you mean --train.schedule?"),
+    ("lr_schedule", "run mine.py --train.lr_schedule steps", "did you mean --train.drops?"),
     ("weight_decay", "run mine.py --train.weight_decay 1", "did you mean --train.l2?"),
     ("num_epochs", "run mine.py --train_pins.num_epochs 3", "did you mean --train_pins.epochs?"),
     ("optimizer", "run mine.py --train.optimizer adam", "did you mean --train.optimiser?"),

@@ -12,6 +12,7 @@ from jaxunshear.models.posenet import scale_poses
 from jaxunshear.training.augmentation import (
     ANGLES,
     find_rotation_sense,
+    make_pair_rotation,
     make_rotations,
     rotate_outputs,
     rotate_pins,
@@ -105,3 +106,51 @@ def test_touches_that_do_not_turn_with_their_label_are_refused():
         find_rotation_sense(REST, pins[RNG.permutation(600)], poses, make_label_targets((), poses))
     with pytest.raises(UserError, match="asks for Rz_deg over the full circle"):
         find_rotation_sense(REST, pins, poses, make_label_targets(("y_mm", "Rz_deg:range"), poses))
+
+
+@pytest.mark.parametrize("jit", [False, True])
+def test_mirrored_pins_are_those_of_a_mirrored_touch(jit):
+    """The rings have the mirror of each of their rotations by a sixth of a turn."""
+    mirror = make_rotations(REST, 1, mirrored=True)
+    pins = jnp.asarray(touched(20, 1.5)[None])
+    for k in (0, ANGLES // 6):
+        got = (jax.jit(rotate_pins) if jit else rotate_pins)(mirror, ANGLES + k, pins)[0]
+        wanted = touched(180 - (180 - 20) - 2 * 20 + 360 * k / ANGLES, 1.5)
+        np.testing.assert_allclose(got, wanted, atol=1e-3)
+
+
+def make_pairs():
+    taps, poses = contacts(5, 1)
+    slides = taps + np.float32([0.7, -0.2])
+    return {"canonical_pins": taps, "sheared_pins": slides, "pose": np.float32(poses)}
+
+
+def test_slides_turn_with_their_taps():
+    batch, rotate = make_pairs(), jax.jit(make_pair_rotation(REST, 1.0))
+    directions = []
+    for seed in range(30):
+        got, is_rotated = rotate(batch, jax.random.key(seed))
+        assert is_rotated
+        np.testing.assert_array_equal(got["pose"], batch["pose"])
+        drag = np.asarray(got["sheared_pins"] - got["canonical_pins"])
+        np.testing.assert_allclose(drag, np.broadcast_to(drag[0, 0], drag.shape), atol=1e-3)
+        assert np.hypot(*drag[0, 0]) == pytest.approx(np.hypot(0.7, 0.2), abs=1e-3)
+        directions.append(np.degrees(np.arctan2(*drag[0, 0, ::-1])))
+    # half of them are of mirrored slides, whose direction is turned by steps from its mirror
+    given = np.degrees(np.arctan2(-0.2, 0.7))
+    off = [abs((each - given + 7.5) % 15 - 7.5) for each in directions]
+    mirrored = [abs((each + given + 7.5) % 15 - 7.5) for each in directions]
+    assert 5 < sum(np.less(off, 0.1)) < 25
+    np.testing.assert_array_less(np.minimum(off, mirrored), 0.1)
+
+
+def test_as_many_batches_turn_as_the_share_says():
+    batch, rotate = make_pairs(), jax.jit(make_pair_rotation(REST, 0.3))
+    count = 0
+    for seed in range(200):
+        got, is_rotated = rotate(batch, jax.random.key(seed))
+        count += bool(is_rotated)
+        if not is_rotated:
+            for name, value in batch.items():
+                np.testing.assert_array_equal(got[name], value, err_msg=name)
+    assert 40 < count < 80

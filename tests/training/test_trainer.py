@@ -184,7 +184,7 @@ def test_nan_in_a_batch_stops_with_step_and_term_and_keeps_the_last_good_checkpo
 
 
 def scale_rate(epoch, factor):
-    return dataclasses.replace(small.TRAINING, schedule="steps", drops=((epoch, factor),))
+    return dataclasses.replace(small.TRAINING, drops=((epoch, factor),))
 
 
 def test_a_diverging_training_leaves_the_checkpoint_of_an_undisturbed_one(tmp_path):
@@ -278,7 +278,7 @@ def test_posenet_trains_and_reports_errors_in_units(tmp_path):
 def test_schedules():
     cosine = make_schedule(Training(learning_rate=1.0), 100, 10)
     np.testing.assert_allclose([cosine(0), cosine(50), cosine(100)], [1, 0.5, 0], atol=1e-6)
-    paper = Training(learning_rate=1e-4, schedule="steps", drops=((40, 0.2), (80, 0.1)))
+    paper = Training(learning_rate=1e-4, drops=((40, 0.2), (80, 0.1)))
     steps = make_schedule(paper, 1000, 10)
     np.testing.assert_allclose(
         [steps(399), steps(400), steps(799), steps(800)], [1e-4, 2e-5, 2e-5, 1e-5], rtol=1e-6
