@@ -27,7 +27,7 @@ name of the row says so:
     all rows                    --train_pins.optimiser adam --train_pins.learning_rate 3e-3
     and                         --train_pins.epochs 100 --train_pins.validate_every 500
     and                         --train_pins.min_steps 1 --train_pins.losses.pose_label 1
-    and                         --train_pins.rotated_pairs 0
+    and                         --train_pins.rotated_below 0
     dense                       --pins.conv_channels=
     convolving                  --pins.direct_conv_channels 24,48,96
     direct from rendered taps   --paired.direct_taps rendered

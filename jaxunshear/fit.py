@@ -67,7 +67,7 @@ BASE_EXPERIMENT = Experiment(
         PIN_TRAINING,
         epochs=25,
         min_steps=500,
-        rotated_pairs=150,
+        rotated_below=1500,
         optimiser="muon",
         learning_rate=1e-2,
         losses={**PIN_TRAINING.losses, "pose_label": 0.1},

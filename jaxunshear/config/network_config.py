@@ -136,9 +136,9 @@ def _select_training(experiment: Experiment, spec: NetworkSpec) -> Training:
     if spec.role == "unshears":
         training = experiment.train_pins if pins else experiment.train
         if not pins:
-            return replace(training, paired_share=1.0, rotated_pairs=0)
+            return replace(training, paired_share=1.0, rotated_below=0)
         if experiment.paired.is_simulated:
-            return replace(training, rotated_pairs=0)
+            return replace(training, rotated_below=0)
         return replace(training, paired_share=1.0)
     if spec.role == "renders":
         return drop_pair_losses(experiment.train_pins, pins=1.0)

@@ -30,14 +30,14 @@ from jaxunshear.config.types import Problem, check_types, find_problems, get_val
 from jaxunshear.errors import UserError
 
 UNKNOWN = 2**62  # examples, of data that are counted when they are read
-OF_PAIRS = ("crops", "crop_px", "paired_share", "rotated_pairs")
+OF_PAIRS = ("crops", "crop_px", "paired_share", "rotated_below")
 # fields that only some networks use: a value that changes none of them is refused
 PARTLY_USED = (
     "pins.rotated_share",
     "pins.direct_conv_channels",
     "paired.direct_taps",
     "train.paired_share",
-    "train.rotated_pairs",
+    "train.rotated_below",
     "train_pins.paired_share",
     *(f"train_posenet.{field}" for field in OF_PAIRS),
     *(f"train_teacher.{field}" for field in OF_PAIRS),
@@ -128,8 +128,8 @@ def _find_training_problems(experiment: Experiment) -> Iterator[Problem]:
         pairs, taps = paired.slides * paired.count_training_poses(), pose.count_training_poses()
     if experiment.train.crop_px > experiment.unshear.size:
         yield "train.crop_px", f"must be 1 to the image's {experiment.unshear.size} px"
-    if experiment.train_pins.rotated_pairs and paired.is_simulated:
-        yield "train_pins.rotated_pairs", "turns recorded pairs: leave it at 0"
+    if experiment.train_pins.rotated_below and paired.is_simulated:
+        yield "train_pins.rotated_below", "turns recorded pairs: leave it at 0"
     if experiment.train_teacher.start:
         remedy = "leave it empty: the PoseNet that scores a network must not supervise it"
         yield "train_teacher.start", remedy

@@ -58,9 +58,9 @@ class Training:
     # over pins: share of the simulated training poses, drawn by seed, whose slides have their tap;
     # other slides are left out
     paired_share: Share = 1.0
-    # over recorded pins: pairs of an epoch that are turned about the sensor's axis, and half of
-    # these mirrored; at most every second pair
-    rotated_pairs: Annotated[int, Bound(lambda pairs: pairs >= 0, "must not be below zero")] = 0
+    # over recorded pins: number of training pairs below which batches are also turned about the
+    # sensor's axis or mirrored: half of them in the smallest sets, and fewer towards this number
+    rotated_below: Annotated[int, Bound(lambda pairs: pairs >= 0, "must not be below zero")] = 0
     # decay of the exponential moving average of the weights; 0 switches it off
     ema_decay: Fraction = 0.99
     # largest random shift of images, as a fraction of their size (the paper: 1-2 %)
@@ -96,7 +96,7 @@ def drop_pair_losses(training: Training, **losses: float) -> Training:
         crops=Training.crops,
         crop_px=Training.crop_px,
         paired_share=Training.paired_share,
-        rotated_pairs=Training.rotated_pairs,
+        rotated_below=Training.rotated_below,
     )
 
 

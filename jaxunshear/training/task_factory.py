@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.config.experiment import Experiment
@@ -38,7 +37,6 @@ from jaxunshear.training.examples import (
 )
 from jaxunshear.training.provenance import check_origin
 
-LABELS = {"labels", "slide_labels"}  # fields of losses
 MAX_ROTATED = 0.5  # share of the batches: with more, what is not turned is learnt worse
 
 
@@ -76,9 +74,9 @@ def make_task(
         load_teacher = HelperLoader(experiment, folder, folder).load_teacher
         supervision = _supervise(net, training, examples, load_teacher)
         task = tasks.make_unshear_task(net, training, supervision, facts)
-        if training.rotated_pairs:
-            share = min(MAX_ROTATED, training.rotated_pairs / examples.per_epoch)
-            task = _rotate_pairs(task, make_pair_rotation(examples.pins.rest, share))
+        if examples.per_epoch < training.rotated_below:
+            share = MAX_ROTATED * (1 - examples.per_epoch / training.rotated_below)
+            task = tasks.rotate_pairs(task, make_pair_rotation(examples.pins.rest, share))
         pair_fields = _list_pair_fields(net, training, supervision, source.shares_slides)
         fields = (*pair_fields, *source.pair_fields)
     if modality is PINS:
@@ -123,23 +121,6 @@ def _list_pair_fields(
     fields += list_label_fields(supervision.slides)
     fields += sorted(loss_fields - {*partners, "labels", "slide_labels"})
     return tuple(dict.fromkeys(fields))
-
-
-def _rotate_pairs(
-    task: tasks.Task, rotate: Callable[[Batch, Array], tuple[Batch, Array]]
-) -> tasks.Task:
-    """Rotate batches; losses that take labels are then zero."""
-    labelled = [name for name in task.weights if not LABELS.isdisjoint(get_loss(name).fields)]
-
-    def terms(
-        variables: tasks.Tree, batch: Batch, key: Array
-    ) -> tuple[dict[str, Array], tasks.Tree]:
-        batch, is_rotated = rotate(batch, jax.random.fold_in(key, 2))
-        values, statistics = task.terms(variables, batch, key)
-        unknown = {name: jnp.where(is_rotated, 0, values[name]) for name in labelled}
-        return values | unknown, statistics
-
-    return dataclasses.replace(task, terms=terms)
 
 
 def _randomise_pins(task: tasks.Task, examples: Examples, share: float) -> tasks.Task:

@@ -28,6 +28,7 @@ from jaxunshear.models.weights import Net, Tree, Variables
 from jaxunshear.training.augmentation import Rotations, rotate_outputs, rotate_pins, sample_rotation
 from jaxunshear.training.losses import PairInputs, PoseInputs
 
+LABELS = {"labels", "slide_labels"}  # fields of losses
 Terms = dict[str, Array]  # losses per example (B,), by name
 
 
@@ -99,6 +100,22 @@ def make_unshear_task(
 
     task = _make_task(net, "unshears", training, supervision.targets, facts, run)
     return replace(task, slide_targets=supervision.slides)
+
+
+def rotate_pairs(task: Task, rotate: Callable[[Batch, Array], tuple[Batch, Array]]) -> Task:
+    """Rotate the batches that a network that unshears learns from, by `make_pair_rotation`.
+
+    Losses that take labels are zero for batches that were rotated.
+    """
+    labelled = [name for name in task.weights if not LABELS.isdisjoint(get_loss(name).fields)]
+
+    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
+        batch, is_rotated = rotate(batch, jax.random.fold_in(key, 2))
+        values, statistics = task.terms(variables, batch, key)
+        unknown = {name: jnp.where(is_rotated, 0, values[name]) for name in labelled}
+        return values | unknown, statistics
+
+    return replace(task, terms=terms)
 
 
 def _choose_swap_partners(

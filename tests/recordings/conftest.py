@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SHORT = (
     *("--unshear.input", "pins", "--train_pins.epochs", "12", "--train_pins.batch", "16"),
     *("--train_pins.min_steps", "1", "--train_pins.validate_every", "40"),
-    *("--train_pins.rotated_pairs", "0"),
+    *("--train_pins.rotated_below", "0"),
     *("--train_pins.optimiser", "adam"),
     *("--train_pins.learning_rate", "3e-3", "--train_pins.losses.pose_label", "1"),
     *("--pins.conv_channels", "4,6"),

@@ -459,7 +459,7 @@ REFUSED = [
         "--pins.rotated_share 0.5 --unshear.input pins --networks disentangled,posenet",
         "changes none of the networks",
     ),
-    ("--train.rotated_pairs 9", "changes none of the networks"),
+    ("--train.rotated_below 9", "changes none of the networks"),
     (
         "--paired.pairing simulated --paired.labelled 0.5",
         "simulated takes no recorded slide to learn from",

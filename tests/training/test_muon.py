@@ -5,9 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from scipy.optimize import linprog
 
-from jaxunshear.training.muon import COEFFICIENTS, muon, orthogonalise
+from jaxunshear.training.muon import muon, orthogonalise
 
 SHAPES = {  # as of a small network: first, inner and last layers, and a dense one
     "First": {"kernel": (4, 4, 1, 8)},
@@ -40,32 +39,13 @@ def named(params):
     return {join_keys(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(params)}
 
 
-def apply_quintics(matrix):
-    """Return the matrix with its singular values put through the quintics."""
+def apply_quintic(matrix):
+    """Return the matrix with its singular values put through Jordan's quintic five times."""
     u, s, v = np.linalg.svd(matrix, full_matrices=False)
     s = s / np.linalg.norm(s)
-    for a, b, c in COEFFICIENTS:
-        s = a * s + b * s**3 + c * s**5
+    for _ in range(5):
+        s = 3.4445 * s - 4.7750 * s**3 + 2.0315 * s**5
     return u * s @ v
-
-
-def find_nearest_quintic(low, high):
-    """Return the odd quintic with the least largest distance from one on [low, high], by a linear program."""
-    s = np.linspace(low, high, 2000)[:, None]
-    powers, ones = np.hstack([s, s**3, s**5]), np.ones((len(s), 1))
-    rows = np.block([[powers, -ones], [-powers, -ones]])
-    bounds = np.concatenate([ones, -ones])
-    *quintic, distance = linprog([0, 0, 0, 1], rows, bounds, bounds=[(None, None)] * 4).x
-    return quintic, distance
-
-
-def test_each_quintic_is_the_nearest_to_one_on_what_the_others_leave():
-    low, high = 0.01, 1.0
-    for quintic in COEFFICIENTS:
-        nearest, distance = find_nearest_quintic(low, high)
-        np.testing.assert_allclose(quintic, nearest, atol=2e-4)
-        low, high = 1 - distance, 1 + distance
-    assert distance == pytest.approx(0.27, abs=0.005)
 
 
 def follow(optimisers, params, steps):
@@ -83,17 +63,17 @@ def follow(optimisers, params, steps):
 
 @pytest.mark.parametrize("shape", [(40, 12), (12, 40), (16, 16), (1, 9)])
 @pytest.mark.parametrize("jit", [False, True])
-def test_orthogonal_is_the_quintics_of_the_singular_values(shape, jit):
+def test_orthogonal_is_the_quintic_of_the_singular_values(shape, jit):
     x = np.random.default_rng(1).normal(size=shape)
     got = (jax.jit(orthogonalise) if jit else orthogonalise)(jnp.asarray(x, jnp.float32))
     # of entries near 0.3; tiny singular values are lost first
-    np.testing.assert_allclose(got, apply_quintics(x), atol=1e-4)
+    np.testing.assert_allclose(got, apply_quintic(x), atol=1e-4)
 
 
 def test_orthogonal_brings_singular_values_near_one():
     x = np.random.default_rng(2).normal(size=(300, 20)) @ np.diag(np.geomspace(1, 0.02, 20))
     s = np.linalg.svd(np.asarray(orthogonalise(jnp.asarray(x, jnp.float32))), compute_uv=False)
-    assert s.min() > 0.7 and s.max() < 1.3
+    assert s.min() > 0.6 and s.max() < 1.25
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-4, 1e4, 1e15])
@@ -109,14 +89,14 @@ def test_orthogonal_of_low_rank_and_of_nothing():
 
 
 def test_updates_of_inner_kernels_are_jordan_s(params):
-    """Nesterov's momentum, as in his reference implementation, and its matrix by the quintics."""
+    """Nesterov's momentum, and the singular values of its matrix by the quintic: of his reference implementation."""
     momentum = {name: np.zeros(leaf.shape) for name, leaf in named(params).items()}
     for gradient, got in follow([muon(1.0, 0.5)], params, 3):
         for name in INNER:
             g = np.asarray(gradient[name], np.float64)
             momentum[name] = 0.95 * momentum[name] + 0.05 * g
             matrix = (0.05 * g + 0.95 * momentum[name]).reshape(-1, g.shape[-1])
-            expected = -0.2 * np.sqrt(max(matrix.shape)) * apply_quintics(matrix).reshape(g.shape)
+            expected = -0.2 * np.sqrt(max(matrix.shape)) * apply_quintic(matrix).reshape(g.shape)
             np.testing.assert_allclose(got[name], expected, atol=2e-3, err_msg=name)
 
 
@@ -126,9 +106,7 @@ def test_optax_s_updates_of_inner_kernels_are_the_same_but_for_the_start(params)
         return axes if join_keys(path) in INNER else None
 
     axes = jax.tree_util.tree_map_with_path(list_axes, params)
-    theirs = optax.contrib.muon(
-        1.0, COEFFICIENTS, consistent_rms=0.2, muon_weight_dimension_numbers=axes
-    )
+    theirs = optax.contrib.muon(1.0, consistent_rms=0.2, muon_weight_dimension_numbers=axes)
     off = []
     for _, got, expected in follow([muon(1.0, 0.5), theirs], params, 100):
         pairs = [(got[name], expected[name]) for name in INNER]

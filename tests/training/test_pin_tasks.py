@@ -8,7 +8,7 @@ import pytest
 
 from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
-from jaxunshear.config.targets import make_label_targets, make_slide_targets
+from jaxunshear.config.targets import count_outputs, make_label_targets, make_slide_targets
 from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.models.distances import compute_pin_distance
 from jaxunshear.models.pin_networks import encode, predict, unshear
@@ -20,6 +20,7 @@ from jaxunshear.training.tasks import (
     make_posenet_task,
     make_renderer_task,
     make_unshear_task,
+    rotate_pairs,
 )
 from tests.helpers.gradients import list_taught_parts
 from tests.helpers.network_parts import find_taught_parts
@@ -97,6 +98,28 @@ def test_two_slides_to_one_pose_are_unsheared_alike():
     assert task.weights["consistency"] == 2.0 and np.all(expected > 0)
     assert np.all(compute_term(pins) == 0)
     assert "consistency" not in task.validate(variables, batch())
+
+
+@pytest.mark.parametrize("is_rotated", [True, False])
+def test_rotated_pairs_teach_what_needs_no_label(is_rotated):
+    def teach(pins):
+        return jnp.tanh(pins.reshape(len(pins), -1)[:, : count_outputs(TARGETS)])
+
+    def rotate(batch, key):
+        return batch | {"sheared_pins": batch["sheared_pins"] + 1}, jnp.asarray(is_rotated)
+
+    _, task, variables = make_task(name_losses(pose_label=2.0), Supervision(TARGETS, (), teach))
+    rotated = rotate_pairs(task, rotate)
+    moved, _ = rotate(batch(), KEY)
+    expected, _ = task.terms(variables, moved, KEY)
+    terms, _ = rotated.terms(variables, batch(), KEY)
+    assert np.all(expected["pose_label"] > 0)
+    for name, values in expected.items():
+        is_unknown = is_rotated and name == "pose_label"
+        np.testing.assert_array_equal(terms[name], 0 * values if is_unknown else values)
+    # contacts for validation are as they were recorded
+    for name, values in task.validate(variables, batch()).items():
+        np.testing.assert_array_equal(rotated.validate(variables, batch())[name], values)
 
 
 def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
