@@ -18,10 +18,10 @@ from jax import Array
 from jaxunshear.config import networks
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.errors import UserError
-from jaxunshear.inference.forward import jit_for_inference, make_forward
+from jaxunshear.inference.forward import bind_networks, jit_for_inference
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models.registry import scale_inputs, unshear
-from jaxunshear.models.weights import Variables
+from jaxunshear.models.weights import Tree, Variables
 from jaxunshear.training.checkpoint import compute_weights_digest
 
 TRUE_POSE = "true"  # the pose that the simulator knows
@@ -85,11 +85,13 @@ def _make_edge_estimator(model: TrainedModel, method: str) -> EdgeEstimator:
         raise UserError(
             f"{model.folder} reads {', '.join(names)}: an edge is followed by edge_mm and edge_deg"
         )
-    forward, reader = make_forward(networks), model.simulated_reader
+    reader = model.simulated_reader
 
-    def predict_edge(variables: Variables, inputs: Array) -> tuple[Array, Array]:
-        _, pose = forward(variables, inputs)
-        return pose["edge_mm"], pose["edge_deg"]
+    def predict_edge(variables: Variables, inputs: Array) -> list[Array]:
+        values: Tree = scale_inputs(inputs)
+        for run_network in bind_networks(networks, variables).values():
+            values = run_network(values)
+        return [values[target] for target in EDGE_TARGETS]
 
     variables = {name: network.variables for name, network in networks.items()}
     run = jit_for_inference(predict_edge, variables)

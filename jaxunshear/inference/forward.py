@@ -24,7 +24,7 @@ from jaxunshear.config.networks import (
     PoseNet,
 )
 from jaxunshear.models import posenet
-from jaxunshear.models.registry import predict, scale_inputs, unshear
+from jaxunshear.models.registry import predict, unshear
 from jaxunshear.models.weights import Tree, Variables
 from jaxunshear.training.checkpoint import TrainedNetwork
 
@@ -32,26 +32,11 @@ AS_RECORDED, UNSHEARED = "as_recorded", "unsheared"  # what a pose is predicted 
 LEARNT = "learnt"  # poses by a PoseNet that was trained on slides
 BATCH = 32
 
-# (variables by network, inputs) -> unsheared or as they are, and pose by quantity, (B,) each
-Forward = Callable[[Variables, Array], tuple[Array, dict[str, Array]]]
 # scaled inputs -> unsheared ones, or a pose by quantity, (B,) each
 RunNetwork = Callable[..., Tree]
 # scaled inputs -> unsheared if a network does so, and poses by kind and quantity
 RunNetworks = Callable[..., Tree]
 Outputs = TypeVar("Outputs")
-
-
-def make_forward(networks: Mapping[str, TrainedNetwork]) -> Forward:
-    """Chain networks, in the order in which they run, a PoseNet last."""
-
-    def forward(variables: Variables, inputs: Array) -> tuple[Array, dict[str, Array]]:
-        values = scale_inputs(inputs)
-        *unshearing, predict_pose = bind_networks(networks, variables).values()
-        for run in unshearing:
-            values = run(values)
-        return values, predict_pose(values)
-
-    return forward
 
 
 def bind_networks(

@@ -41,7 +41,7 @@ from jaxunshear.config.sensor import TACTIP_331, Preprocess
 from jaxunshear.config.serialization import RELEASED, to_json
 from jaxunshear.data.recordings import read_image
 from jaxunshear.files import write_json
-from jaxunshear.inference.forward import make_forward
+from jaxunshear.inference.forward import bind_networks, chain_networks
 from jaxunshear.models import pin_networks, posenet, unshearnet
 from jaxunshear.models.pin_networks import make_grid
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
@@ -299,10 +299,11 @@ def test_skin_takes_pins(tmp_path):
     skin = load_model("skin")
     loaded = {name: skin.load_network(name) for name in ("disentangled", "posenet")}
     weights = {name: network.variables for name, network in loaded.items()}
-    after, pose = jax.jit(make_forward(loaded))(weights, pins)
+    run = jax.jit(chain_networks(bind_networks(loaded, weights), with_sheared_poses=False))
+    after, poses = run(pins)
     found = session.run(["unsheared", "pose"], {"pins": pins})
     np.testing.assert_allclose(found[0], after, atol=1e-3)
-    expected = [pose[target.name] for target in loaded["posenet"].targets]
+    expected = [poses["unsheared"][target.name] for target in loaded["posenet"].targets]
     np.testing.assert_allclose(found[1].T, expected, atol=1e-3)
 
 
