@@ -110,11 +110,11 @@ def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path):
 
 @pytest.mark.long
 def test_servo_then_reconstruct_by_pins(command, brief, model, tmp_path):
-    words = ("--model", model.folder, "--out", tmp_path / "walks", "--stimulus", "disk")
-    more = ("--starts", 1, "--ways", "sheared,disentangled")
+    words = ("--out", tmp_path / "walks", "--stimulus", "disk")
+    more = ("--model", model.folder, "--starts", 1, "--ways", "sheared,disentangled")
     for name, options, failures in (
         ("servo", more, "unfollowed"),
-        ("reconstruct", (), "unmatched"),
+        ("reconstruct", (model.folder,), "unmatched"),
     ):
         answer = command(name, *words, *options)
         assert answer.code == 0, answer.err
