@@ -22,8 +22,12 @@ from jaxunshear.results.measurement import Source
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
-# settings that decide no figure; all results that lack min_steps had more steps
-NAMES = ("name", "claim", "digest", "tap_folder", "slide_folder", "min_steps")
+# settings that decide no figure; all results that lack min_steps had more steps, all that lack
+# rotated_below had more pairs, and those with drops a schedule in steps
+NAMES = (
+    *("name", "claim", "digest", "tap_folder", "slide_folder", "min_steps", "rotated_below"),
+    "schedule",
+)
 IDLE = {  # settings of results that are gone, at the values at which they did nothing
     "shear_noise": 0.0,
     "residual": 0,
