@@ -31,10 +31,11 @@ from jaxunshear.config.types import raise_first_problem
 from jaxunshear.environment import FAST, PLAIN, keep_freed_memory
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
-from jaxunshear.inference.forward import jit_for_inference, make_forward
+from jaxunshear.inference.forward import compile_networks, jit_for_inference
 from jaxunshear.models import posenet, unshearnet
 from jaxunshear.models.fast import compiled_kernels
 from jaxunshear.models.layer_choice import use_layers
+from jaxunshear.models.registry import scale_inputs
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.progress import Progress
 from jaxunshear.training.checkpoint import TrainedNetwork
@@ -196,13 +197,11 @@ def _make_frame_sides(size: int, batch: int) -> Sides:
     image = make_noise_images(batch, size)[1, 0, ..., 0]
 
     def ours(layers: str) -> Work:
-        networks = _make_stream_networks(net, pose_net)
-        variables = {name: network.variables for name, network in networks.items()}
-        run = jit_for_inference(make_forward(networks), variables)
+        run = compile_networks(_make_stream_networks(net, pose_net), False)
 
         def work() -> None:
             with use_layers(layers):
-                jax.device_get(run(image[None]))
+                jax.device_get(run(scale_inputs(image[None])))
 
         return work
 
@@ -228,7 +227,7 @@ def _make_engine_work(net: UnshearNet, pose_net: PoseNet, image: np.ndarray) -> 
     from jaxunshear.apps.export.engine import compile_for_frames
 
     run = compile_for_frames(_make_stream_networks(net, pose_net), False)
-    return lambda: run(np.asarray(image[None, ..., None], np.float32) / 255) is None
+    return lambda: run(scale_inputs(image[None])) is None
 
 
 def _make_exported_work(net: UnshearNet, pose_net: PoseNet, image: np.ndarray) -> Work:
