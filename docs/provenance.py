@@ -22,12 +22,10 @@ from jaxunshear.results.measurement import Source
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
-# settings that decide no figure; all results that lack min_steps had more steps, all that lack
-# rotated_below had more pairs, and those with drops a schedule in steps
-NAMES = (
-    *("name", "claim", "digest", "tap_folder", "slide_folder", "min_steps", "rotated_below"),
-    "schedule",
-)
+# settings that decide no figure; those with drops had a schedule in steps
+NAMES = ("name", "claim", "digest", "tap_folder", "slide_folder", "schedule")
+# that results may lack: all of these had more steps, and more pairs
+LATER = ("min_steps", "rotated_below")
 IDLE = {  # settings of results that are gone, at the values at which they did nothing
     "shear_noise": 0.0,
     "residual": 0,
@@ -176,7 +174,8 @@ def find_changed_settings(name: str) -> dict[str, tuple[object, object]]:
         return {}
     experiment = read_base([_find_file(word) for word in shlex.split(result["command"])[1:]])
     now = _flatten(to_builtins(to_json(experiment)))
-    then = _flatten(to_builtins(_read_defaults(experiment))) | _flatten(_name_losses(stored))
+    kept = _flatten(_name_losses(stored))
+    then = _flatten(to_builtins(_read_defaults(experiment))) | kept
     for field in now.keys() ^ then.keys():
         if ".losses." in field:  # a loss of weight 0 is not there
             (then if field in now else now)[field] = 0.0
@@ -184,7 +183,9 @@ def find_changed_settings(name: str) -> dict[str, tuple[object, object]]:
     return {
         field: (then[field], value)
         for field, value in {**now, **gone}.items()
-        if then[field] != value and _get_last_part(field) not in NAMES
+        if then[field] != value
+        and _get_last_part(field) not in NAMES
+        and (field in kept or _get_last_part(field) not in LATER)
     }
 
 

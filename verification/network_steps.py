@@ -61,8 +61,7 @@ def build_programs(net: Net, training: Training) -> Programs:
     same: Json = {
         "learning_rate": 1.0,
         "losses": {**training.losses, "patch": float("patch" in training.losses)},
-        "schedule": "steps",
-        "drops": (),
+        "drops": ((1.0, 1.0),),  # a rate that stays
     }
     return _compile(net, replace(training, **same))
 

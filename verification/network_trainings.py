@@ -208,7 +208,7 @@ def _list_batches(net: Net) -> Iterator[NetworkCase]:
 
 def _list_trainings(net: Net) -> Iterator[NetworkCase]:
     """List trainings through the loop: as usual, and one that diverges later."""
-    diverging = replace(TRAINING, schedule="steps", drops=((float(BROKEN_FROM), 1e30),))
+    diverging = replace(TRAINING, drops=((float(BROKEN_FROM), 1e30),))
     words = (*SAYS_WHERE, KEPT, "whose numbers are", "learning_rate")
     trainings = [("a training", TRAINING, FINITE), ("a diverging training", diverging, STOPPED)]
     for name, training, expects in trainings[: 1 if isinstance(net, UNet) else 2]:

@@ -29,7 +29,7 @@ from jaxunshear.errors import UserError
 # names that other tools have for fields, and ours
 USUAL_NAMES = {
     **dict.fromkeys(("lr", "initial_lr", "lr0"), "learning_rate"),
-    **dict.fromkeys(("lr_schedule", "scheduler", "lr_scheduler"), "drops"),
+    **dict.fromkeys(("schedule", "lr_schedule", "scheduler", "lr_scheduler"), "drops"),
     **dict.fromkeys(("bs", "batch_size", "minibatch"), "batch"),
     **dict.fromkeys(("num_epochs", "n_epochs", "max_epochs", "iterations"), "epochs"),
     **dict.fromkeys(("weight_decay", "wd", "l2_weight"), "l2"),

@@ -135,11 +135,12 @@ def _select_training(experiment: Experiment, spec: NetworkSpec) -> Training:
     pins = uses_pins(experiment)
     if spec.role == "unshears":
         training = experiment.train_pins if pins else experiment.train
-        if not pins:
-            return replace(training, paired_share=1.0, rotated_below=0)
-        if experiment.paired.is_simulated:
-            return replace(training, rotated_below=0)
-        return replace(training, paired_share=1.0)
+        is_simulated = experiment.paired.is_simulated
+        if not (pins and is_simulated):
+            training = replace(training, paired_share=1.0)
+        if pins and not is_simulated and getattr(experiment.paired, "pairing", "") != "simulated":
+            return training
+        return replace(training, rotated_below=0)
     if spec.role == "renders":
         return drop_pair_losses(experiment.train_pins, pins=1.0)
     if pins:

@@ -129,7 +129,7 @@ def _find_training_problems(experiment: Experiment) -> Iterator[Problem]:
     if experiment.train.crop_px > experiment.unshear.size:
         yield "train.crop_px", f"must be 1 to the image's {experiment.unshear.size} px"
     if experiment.train_pins.rotated_below and paired.is_simulated:
-        yield "train_pins.rotated_below", "turns recorded pairs: leave it at 0"
+        yield "train_pins.rotated_below", "turns recorded pairs: set it to 0"
     if experiment.train_teacher.start:
         remedy = "leave it empty: the PoseNet that scores a network must not supervise it"
         yield "train_teacher.start", remedy

@@ -59,7 +59,8 @@ class Training:
     # other slides are left out
     paired_share: Share = 1.0
     # over recorded pins: number of training pairs below which batches are also turned about the
-    # sensor's axis or mirrored: half of them in the smallest sets, and fewer towards this number
+    # sensor's axis or mirrored: half of them in the smallest sets, fewer towards this number;
+    # simulated slides are not turned
     rotated_below: Annotated[int, Bound(lambda pairs: pairs >= 0, "must not be below zero")] = 0
     # decay of the exponential moving average of the weights; 0 switches it off
     ema_decay: Fraction = 0.99

@@ -16,15 +16,9 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxunshear.config.networks import (
-    DISENTANGLED,
-    POSENET,
-    POSENET_SHEARED,
-    PinPoseNet,
-    PoseNet,
-)
+from jaxunshear.config.networks import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.models import posenet
-from jaxunshear.models.registry import predict, unshear
+from jaxunshear.models.registry import get_functions, predict, unshear
 from jaxunshear.models.weights import Tree, Variables
 from jaxunshear.training.checkpoint import TrainedNetwork
 
@@ -46,7 +40,7 @@ def bind_networks(
 
     def bind(name: str) -> RunNetwork:
         net, _, targets = networks[name]
-        if not isinstance(net, PoseNet | PinPoseNet):
+        if get_functions(net).predict is None:
             return partial(unshear, net, variables[name])
         predict_pose = partial(predict, net, variables[name])
         return lambda values: posenet.unscale_outputs(predict_pose(values), targets)

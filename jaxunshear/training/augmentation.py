@@ -37,6 +37,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 from scipy.interpolate import RBFInterpolator
+from scipy.spatial import cKDTree
 
 from jaxunshear.angles import rotate_2d, rotation_2d, wrap_degrees
 from jaxunshear.config.targets import Targets
@@ -47,6 +48,7 @@ from jaxunshear.perception.lattice import measure_spacing
 
 TWIST = "Rz_deg"  # the angle about the sensor's axis
 ANGLES = 24  # a circle, in steps of 15 deg
+MAX_TURNED_DISTANCE = 1.2  # in spacings: splines are not to be asked for motions beyond the rim
 SPLINE_NEIGHBOURS = 40  # pins that the motion between them is interpolated from
 TRIED_TAPS = 200  # taps that are turned to find the sense
 # over their motion: turned taps that differ less from recorded ones resemble them
@@ -65,9 +67,10 @@ class Rotations(NamedTuple):
     """Rotations by k circles over ANGLES; the label turns by as much times `sense`."""
 
     rest: Array  # (P, 2) px
-    # (ANGLES, P, P) weights of all pins in the motion at the place that is turned onto a pin
+    # (ANGLES, P, P) weights of all pins in the motion at the place that is turned onto a pin; with
+    # mirrored ones twice as many
     mixed: Array
-    rotation: Array  # (ANGLES, 2, 2)
+    rotation: Array  # as many, (2, 2) each
     radians: Array  # (ANGLES,)
     sense: int  # 1 or -1
 
@@ -203,20 +206,38 @@ def make_pair_rotation(
     """Make the function that turns a `share` of all batches, and mirrors half of these.
 
     Slides and their taps turn together, and labels stay. It also returns whether a batch turned.
+    Pins are turned by angles alone that bring all of them near others: of a square pad by four.
     """
     rotations = make_rotations(rest, 1, mirrored=True)
+    fitting = jnp.asarray(_find_fitting(rest, np.asarray(rotations.rotation)))
 
     def rotate(batch: Batch, key: Array) -> tuple[Batch, Array]:
         chance_key, angle_key = jax.random.split(key)
         is_rotated = jax.random.uniform(chance_key) < share
-        k = jax.random.randint(angle_key, (), 0, len(rotations.mixed))
+        k = fitting[jax.random.randint(angle_key, (), 0, len(fitting))]
+
+        def turn(pins: Array) -> Array:
+            is_missing = jnp.isnan(pins[..., 0]).astype(pins.dtype)
+            missing = jnp.einsum("pq,bq->bp", jnp.abs(rotations.mixed[k]), is_missing)
+            turned = rotate_pins(rotations, k, pins)
+            return jnp.where(missing[..., None] < 0.5, turned, jnp.nan)
+
         rotated = {
-            name: jnp.where(is_rotated, value, batch[name])
-            for name, value in _rotate_batch(rotations, k, batch).items()
+            name: jnp.where(is_rotated, turn(pins), pins)
+            for name, pins in batch.items()
+            if name.endswith("pins")
         }
         return batch | rotated, is_rotated
 
     return rotate
+
+
+def _find_fitting(rest: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Find the rotations that bring each pin within MAX_TURNED_DISTANCE of one at rest."""
+    pins = np.asarray(rest, np.float64)
+    middle, limit = pins.mean(axis=0), MAX_TURNED_DISTANCE * measure_spacing(pins)
+    turned = np.stack([(pins - middle) @ each + middle for each in rotation])
+    return np.flatnonzero(cKDTree(pins).query(turned)[0].max(axis=1) < limit)
 
 
 def _rotate_batch(rotations: Rotations, k: Array, batch: Batch) -> Batch:

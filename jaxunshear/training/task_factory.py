@@ -37,7 +37,7 @@ from jaxunshear.training.examples import (
 )
 from jaxunshear.training.provenance import check_origin
 
-MAX_ROTATED = 0.5  # share of the batches: with more, what is not turned is learnt worse
+MAX_ROTATED = 0.5  # share of the batches; with more, errors were larger (trials)
 
 
 def make_task(
@@ -74,8 +74,9 @@ def make_task(
         load_teacher = HelperLoader(experiment, folder, folder).load_teacher
         supervision = _supervise(net, training, examples, load_teacher)
         task = tasks.make_unshear_task(net, training, supervision, facts)
-        if examples.per_epoch < training.rotated_below:
-            share = MAX_ROTATED * (1 - examples.per_epoch / training.rotated_below)
+        pairs = examples.reader.length("train")
+        if pairs < training.rotated_below:
+            share = MAX_ROTATED * (1 - pairs / training.rotated_below)
             task = tasks.rotate_pairs(task, make_pair_rotation(examples.pins.rest, share))
         pair_fields = _list_pair_fields(net, training, supervision, source.shares_slides)
         fields = (*pair_fields, *source.pair_fields)
@@ -99,9 +100,10 @@ def _supervise(
         raise UserError(
             "losses.slide: no slide of this data set is known to differ from others: leave it out"
         )
-    loaders = examples.load_teachers or (load_teacher,)
-    teachers = [load() for load in loaders if uses_teacher(training)]
-    teacher = tasks.join_teachers(teachers) if teachers else None
+    teacher = None
+    if uses_teacher(training):
+        loaders = examples.load_teachers or (load_teacher,)
+        teacher = tasks.join_teachers([load() for load in loaders])
     return tasks.Supervision(examples.targets, examples.slide_targets[:count], teacher)
 
 

@@ -28,7 +28,7 @@ from jaxunshear.models.weights import Net, Tree, Variables
 from jaxunshear.training.augmentation import Rotations, rotate_outputs, rotate_pins, sample_rotation
 from jaxunshear.training.losses import PairInputs, PoseInputs
 
-LABELS = {"labels", "slide_labels"}  # fields of losses
+LABELS = {"labels", "slide_labels"}  # fields of losses, which do not turn with the pins
 Terms = dict[str, Array]  # losses per example (B,), by name
 
 

@@ -84,7 +84,7 @@ REFUSED = {
         ),
         ("--train_posenet.paired_share 0.1", "leave it at 1"),
         ("--train.paired_share 0.1", "leave it at 1"),
-        (f"{PINS} --train_pins.rotated_below 9", "leave it at 0"),
+        (f"{PINS} --train_pins.rotated_below 9", "set it to 0"),
         ("--train_posenet.rotated_below 9", "leave it at 0"),
         ("--train.losses.pose_tap 0.1 --train_teacher.crops 5", "leave it at 100"),
         (f"{CONVOLVED} 4,6 --networks posenet", "changes none of the networks"),

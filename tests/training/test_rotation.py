@@ -115,7 +115,7 @@ def test_mirrored_pins_are_those_of_a_mirrored_touch(jit):
     pins = jnp.asarray(touched(20, 1.5)[None])
     for k in (0, ANGLES // 6):
         got = (jax.jit(rotate_pins) if jit else rotate_pins)(mirror, ANGLES + k, pins)[0]
-        wanted = touched(180 - (180 - 20) - 2 * 20 + 360 * k / ANGLES, 1.5)
+        wanted = touched(-20 + 360 * k / ANGLES, 1.5)
         np.testing.assert_allclose(got, wanted, atol=1e-3)
 
 
@@ -154,3 +154,29 @@ def test_as_many_batches_turn_as_the_share_says():
             for name, value in batch.items():
                 np.testing.assert_array_equal(got[name], value, err_msg=name)
     assert 40 < count < 80
+
+
+def test_a_square_pad_turns_by_its_own_rotations_alone():
+    columns, rows = np.meshgrid(np.arange(9.0) * 8, np.arange(9.0) * 8)
+    rest = np.stack([columns.ravel(), rows.ravel()], -1)
+    batch = {"sheared_pins": np.float32(rest[None] + [1.0, 0.0])}
+    rotate = jax.jit(make_pair_rotation(rest, 1.0))
+    drags = {
+        tuple(
+            np.round(np.asarray(rotate(batch, jax.random.key(seed))[0]["sheared_pins"]) - rest)[
+                0, 0
+            ]
+        )
+        for seed in range(40)
+    }
+    assert drags == {(1, 0), (-1, 0), (0, 1), (0, -1)}
+
+
+def test_missing_pins_stay_missing_where_they_are_turned_to():
+    batch, rotate = make_pairs(), jax.jit(make_pair_rotation(REST, 1.0))
+    batch["canonical_pins"][:, 0] = np.nan  # the middle one, which stays in place
+    for seed in range(10):
+        got, _ = rotate(batch, jax.random.key(seed))
+        is_missing = np.isnan(got["canonical_pins"]).any(-1)
+        assert is_missing[:, 0].all() and is_missing.sum() == len(is_missing)
+        assert np.isfinite(got["sheared_pins"]).all()

@@ -13,7 +13,7 @@ import numpy as np
 from jaxunshear.apps.export import networks as onnx_networks
 from jaxunshear.apps.export.onnx_file import open_session
 from jaxunshear.apps.export.onnx_graph import FLOAT, OnnxGraph
-from jaxunshear.config.networks import DISENTANGLED, PoseNet, UnshearNet
+from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.inference.forward import (
     RunNetwork,
@@ -34,14 +34,14 @@ def compile_for_frames(
     suited = all(_has_onnx_form(network.net) for network in networks.values())
     if not suited or jax.default_backend() != "cpu":
         return compile_networks(networks, with_sheared_poses)
-    runs = {name: _open_network(name, network) for name, network in networks.items()}
+    runs = {name: _open_network(network) for name, network in networks.items()}
     return chain_networks(runs, with_sheared_poses)
 
 
-def _open_network(name: str, network: TrainedNetwork) -> RunNetwork:
-    """Do as `bind_networks` for one network."""
+def _open_network(network: TrainedNetwork) -> RunNetwork:
+    """Make a function of scaled images, by onnxruntime."""
     net, variables, targets = network
-    graph, is_unshearing = OnnxGraph(), name == DISENTANGLED
+    graph, is_unshearing = OnnxGraph(), type(net) is UnshearNet
     outputs = onnx_networks.add_network(graph, net, variables, INPUT)
     if not is_unshearing:
         outputs = onnx_networks.add_pose(graph, targets, outputs)

@@ -97,7 +97,7 @@ def make_onnx_runner(model: bytes, parts: ExportedModel) -> Run:
 
 
 def open_session(model: bytes) -> onnxruntime.InferenceSession:
-    """Open a file of ONNX on the CPU."""
+    """Open a session on the CPU for the bytes of a model."""
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3  # errors alone
     # threads that wait for work in a loop take cores from a camera's driver
