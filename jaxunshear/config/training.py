@@ -16,6 +16,7 @@ from jaxunshear.config.types import (
     between,
 )
 
+PairCount = Annotated[int, Bound(lambda pairs: pairs >= 0, "must not be below zero")]
 Drops = Annotated[
     tuple[tuple[float, float], ...],
     Bound(
@@ -61,7 +62,7 @@ class Training:
     # over recorded pins: number of training pairs below which batches are also turned about the
     # sensor's axis or mirrored: half of them in the smallest sets, fewer towards this number;
     # simulated slides are not turned
-    rotated_below: Annotated[int, Bound(lambda pairs: pairs >= 0, "must not be below zero")] = 0
+    rotated_below: PairCount = 0
     # decay of the exponential moving average of the weights; 0 switches it off
     ema_decay: Fraction = 0.99
     # largest random shift of images, as a fraction of their size (the paper: 1-2 %)
