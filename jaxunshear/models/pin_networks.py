@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
@@ -40,7 +40,7 @@ from jaxunshear.models.weights import (
 from jaxunshear.perception.lattice import measure_spacing
 
 GRID_NEIGHBOURS = 30  # pins that the motion at a grid point is interpolated from
-MAX_GRID_DISTANCE = 1.2  # pin spacings from the nearest pin to a grid point that has a motion
+MAX_DISTANCE = 1.2  # pin spacings from the nearest pin to a point that has a motion
 PLAIN_CONVOLUTION: Callable[..., Array] = lax.conv_general_dilated
 FAST_CONVOLUTION: Callable[..., Array] = conv.convolve
 
@@ -59,8 +59,14 @@ def make_grid(rest: Float[ArrayLike, "P 2"]) -> Float[np.ndarray, "P G"]:
     spline = RBFInterpolator(
         pins, np.eye(len(pins)), neighbors=min(GRID_NEIGHBOURS, len(pins)), kernel="linear"
     )
-    is_inside = cKDTree(pins).query(points)[0] < MAX_GRID_DISTANCE * spacing
-    return np.where(is_inside[:, None], spline(points), 0).T.astype(np.float32)
+    return np.where(find_inside(pins, points)[:, None], spline(points), 0).T.astype(np.float32)
+
+
+def find_inside(
+    pins: Float[np.ndarray, "P 2"], points: Float[np.ndarray, "*N 2"]
+) -> Bool[np.ndarray, "*N"]:
+    """Find which points px are near enough to pins at rest to have a motion between theirs."""
+    return cKDTree(pins).query(points)[0] < MAX_DISTANCE * measure_spacing(pins)
 
 
 class GridTrunk(nn.Module):

@@ -37,18 +37,17 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 from scipy.interpolate import RBFInterpolator
-from scipy.spatial import cKDTree
 
 from jaxunshear.angles import rotate_2d, rotation_2d, wrap_degrees
 from jaxunshear.config.targets import Targets
 from jaxunshear.data import pairing
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
+from jaxunshear.models.pin_networks import find_inside
 from jaxunshear.perception.lattice import measure_spacing
 
 TWIST = "Rz_deg"  # the angle about the sensor's axis
 ANGLES = 24  # a circle, in steps of 15 deg
-MAX_TURNED_DISTANCE = 1.2  # in spacings: splines are not to be asked for motions beyond the rim
 SPLINE_NEIGHBOURS = 40  # pins that the motion between them is interpolated from
 TRIED_TAPS = 200  # taps that are turned to find the sense
 # over their motion: turned taps that differ less from recorded ones resemble them
@@ -233,11 +232,11 @@ def make_pair_rotation(
 
 
 def _find_fitting(rest: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Find the rotations that bring each pin within MAX_TURNED_DISTANCE of one at rest."""
+    """Find the rotations that ask for no motion beyond the rim."""
     pins = np.asarray(rest, np.float64)
-    middle, limit = pins.mean(axis=0), MAX_TURNED_DISTANCE * measure_spacing(pins)
+    middle = pins.mean(axis=0)
     turned = np.stack([(pins - middle) @ each + middle for each in rotation])
-    return np.flatnonzero(cKDTree(pins).query(turned)[0].max(axis=1) < limit)
+    return np.flatnonzero(find_inside(pins, turned).all(axis=1))
 
 
 def _rotate_batch(rotations: Rotations, k: Array, batch: Batch) -> Batch:

@@ -161,14 +161,8 @@ def test_a_square_pad_turns_by_its_own_rotations_alone():
     rest = np.stack([columns.ravel(), rows.ravel()], -1)
     batch = {"sheared_pins": np.float32(rest[None] + [1.0, 0.0])}
     rotate = jax.jit(make_pair_rotation(rest, 1.0))
-    drags = {
-        tuple(
-            np.round(np.asarray(rotate(batch, jax.random.key(seed))[0]["sheared_pins"]) - rest)[
-                0, 0
-            ]
-        )
-        for seed in range(40)
-    }
+    turned = [rotate(batch, jax.random.key(seed))[0]["sheared_pins"] for seed in range(40)]
+    drags = {tuple(np.round(np.asarray(pins[0, 0]) - rest[0])) for pins in turned}
     assert drags == {(1, 0), (-1, 0), (0, 1), (0, -1)}
 
 
