@@ -211,9 +211,9 @@ def _train(run: _Run, network: str) -> bool:
 
 
 def _load_initial_weights(folder: Path) -> InitialWeights:
-    from jaxunshear.training.checkpoint import compute_weights_digest, load_best
+    from jaxunshear.training.checkpoint import compute_weights_digest, load_network
 
-    weights = load_best(folder)
+    weights = load_network(folder).variables
     return InitialWeights(weights, compute_weights_digest(weights))
 
 

@@ -30,7 +30,7 @@ from jaxunshear.files import Json, read_object
 from jaxunshear.results.record_files import read_record, read_times, write_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FurtherTest, Results, TaskFrame
 from jaxunshear.run import run_stages
-from jaxunshear.training.checkpoint import move_network, read_targets
+from jaxunshear.training.checkpoint import TASK_SHARES, move_network, read_targets
 from jaxunshear.training.examples import FRAME
 from jaxunshear.training.provenance import list_training_digests
 
@@ -120,7 +120,8 @@ def _train(run: _TaskRun, name: str, tasks: list[Experiment]) -> Experiment:
     """Train a network on some tasks, or take that of a single one; return its experiment."""
     if len(tasks) == 1:
         return tasks[0]
-    paired = RecordedTasks(tuple(cast(Recorded, task.paired) for task in tasks))
+    parts = tuple(cast(Recorded, task.paired) for task in tasks)
+    paired = RecordedTasks(parts, tuple(task.name for task in tasks))
     experiment = replace(run.experiment, name=name, paired=paired)
     out = run.folder / TRAINED
     networks = list_trained_networks(experiment)
@@ -130,7 +131,7 @@ def _train(run: _TaskRun, name: str, tasks: list[Experiment]) -> Experiment:
 
 def _evaluate(run: _TaskRun, tasks: list[Experiment]) -> Results:
     """Make the model of each task; score networks of all and of the other tasks on its slides."""
-    tested = [task for task in tasks if cast(Recorded, task.paired).slide_folder]
+    tested = run.source.list_taught_parts()
     joint = _train(run, JOINT, tasks)
     for task in tasks:
         run.run(task, ("evaluate", "report"), TRAINED)
@@ -169,10 +170,20 @@ def _assemble(
             shutil.copytree(folder, target / folder.name, dirs_exist_ok=True)
     for name in joined:
         origin = open_source(experiment).describe_origin(resolve_network(experiment, name))
-        changes = {"origin": origin, "data": list_training_digests(learnt, name, None)}
+        changes: Json = {"origin": origin, "data": list_training_digests(learnt, name, None)}
+        if any(shares := _list_shares(learnt, task)):
+            changes[TASK_SHARES] = shares
         source = run.folder / TRAINED / learnt.name / name
         move_network(source, target / name, changes, shift if uses_pins(task) else [])
     run.run(experiment, ("evaluate", "report"), place)
+
+
+def _list_shares(learnt: Experiment, task: Experiment) -> list[float]:
+    """List which of the tasks that a network learnt `task` is: 1, and 0 else."""
+    source = open_source(learnt)
+    if not isinstance(source, TaskSource):
+        return []
+    return [float(part.paired == task.paired) for part in source.list_taught_parts()]
 
 
 def _collect(run: _TaskRun, tasks: list[Experiment]) -> Results:

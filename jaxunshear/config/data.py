@@ -290,14 +290,18 @@ class RecordedTasks(SourceSettings):
     has_parts: ClassVar[bool] = True
 
     tasks: tuple[Recorded, ...] = ()  # the first gives the frame of the pins
+    # names of the tasks, which their runs have; (): of their folders, numbered where they are equal
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.names:  # kept, as a part of the tasks would be numbered otherwise
+            object.__setattr__(self, "names", self._name_folders())
 
     @property
     def preprocess(self) -> Preprocess:  # type: ignore[override]
         return self.tasks[0].preprocess if self.tasks else Preprocess()
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name the tasks by their folders, with numbers where two have one name."""
+    def _name_folders(self) -> tuple[str, ...]:
         folders = [Path(task.tap_folder or task.slide_folder).name for task in self.tasks]
         counts = Counter([*folders, JOINT])
         return tuple(
@@ -305,6 +309,8 @@ class RecordedTasks(SourceSettings):
         )
 
     def find_problems(self) -> Iterator[Problem]:
+        if len({*self.names, JOINT}) <= len(self.tasks) or len(self.names) != len(self.tasks):
+            yield "names", f"give each task a name of its own, other than {JOINT}"
         if len(self.tasks) < 2:
             yield "tasks", "name two folders of recordings or more: --recordings DIR DIR"
         if len({task.digest for task in self.tasks}) < len(self.tasks):

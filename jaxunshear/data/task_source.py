@@ -54,7 +54,7 @@ def align_frames(frame: Json, reference: Json) -> FrameShift:
 class TaskSource(DataSource):
     """Recordings of several tasks, days or sensors of one make: `RecordedTasks`."""
 
-    pair_fields = RecordedSource.pair_fields
+    pair_fields = (*RecordedSource.pair_fields, "stimulus")
     pin_fields = RecordedSource.pin_fields
     has_frame = True
     runner = "jaxunshear.task_run:run_tasks"
@@ -73,6 +73,10 @@ class TaskSource(DataSource):
             networks = select_networks(names, has_taps, has_slides)
             parts.append(replace(self.experiment, name=part, paired=task, networks=networks))
         return parts
+
+    def list_taught_parts(self) -> list[Experiment]:
+        """List the experiments of the tasks that have slides, which the joint network learns."""
+        return [part for part in self.list_parts() if cast(Recorded, part.paired).slide_folder]
 
     def list_test_digests(self) -> set[str]:
         return set().union(*(source.list_test_digests() for source in self._list_sources()))
@@ -94,7 +98,7 @@ class TaskSource(DataSource):
 
     def open_examples(self, config: NetworkConfig, data_dir: Path, helpers: Helpers) -> Examples:
         """Open the slides of all tasks that have any, each with its partner."""
-        parts = [part for part in self.list_parts() if cast(Recorded, part.paired).slide_folder]
+        parts = self.list_taught_parts()
         stored = [RecordedSource(part).open_stored(data_dir) for part in parts]
         images = config.modality == "images"
         frames = [each.frame for each in stored]
@@ -113,6 +117,7 @@ class TaskSource(DataSource):
             reader.length("train"),
             slide_targets=make_move_targets(reader.rows("train")["move"]),
             load_teachers=tuple(load_teachers),
+            tasks=len(parts),
         )
 
 

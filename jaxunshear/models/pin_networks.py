@@ -9,9 +9,11 @@ These networks are ours; the paper's take images. A missing pin is NaN, and coun
 not moved. `rest` and `spread` scale inputs and outputs. They are constants that the variables
 carry, as is the square grid on which the motions of pins are interpolated for convolutions:
 neighbouring pins move alike, which dense layers have to learn.
+
+A network that learns several tasks takes the shares of the tasks as a further input, see
+`tell_tasks`: a flat surface that is tilted moves pins much as the side of an edge does.
 """
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -19,15 +21,14 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
 from jaxunshear.config.networks import PinNet, PinPoseNet, PinRenderer, PinUnshear
-from jaxunshear.models import layer_choice
-from jaxunshear.models.fast import conv
+from jaxunshear.models.pin_layers import Dense, PinUnshearModule
 from jaxunshear.models.reconstruction import Reconstruction, measure_disagreement
 from jaxunshear.models.weights import (
     Net,
@@ -41,8 +42,6 @@ from jaxunshear.perception.lattice import measure_spacing
 
 GRID_NEIGHBOURS = 30  # pins that the motion at a grid point is interpolated from
 MAX_DISTANCE = 1.2  # pin spacings from the nearest pin to a point that has a motion
-PLAIN_CONVOLUTION: Callable[..., Array] = lax.conv_general_dilated
-FAST_CONVOLUTION: Callable[..., Array] = conv.convolve
 
 
 def make_grid(rest: Float[ArrayLike, "P 2"]) -> Float[np.ndarray, "P G"]:
@@ -69,95 +68,6 @@ def find_inside(
     return cKDTree(pins).query(points)[0] < MAX_DISTANCE * measure_spacing(pins)
 
 
-class GridTrunk(nn.Module):
-    """Convolutions over the grid, each normalised over its channels, then a dense layer.
-
-    The second and later convolutions halve the side.
-    """
-
-    net: PinNet
-
-    @nn.compact
-    def __call__(self, motions: Array, grid: Array) -> Array:
-        count, side, he = len(motions), math.isqrt(grid.shape[1]), nn.initializers.he_normal()
-        grid_motions = jnp.einsum("bpi,pg->bgi", motions.reshape(count, -1, 2), grid)
-        is_inside = jnp.any(grid != 0, axis=0).astype(grid_motions.dtype)
-        is_inside = jnp.broadcast_to(is_inside[None, :, None], (count, len(is_inside), 1))
-        x = jnp.concatenate([grid_motions, is_inside], -1).reshape(count, side, side, 3)
-        convolution = layer_choice.pick_layer(PLAIN_CONVOLUTION, FAST_CONVOLUTION)
-        for number, channels in enumerate(self.net.conv_channels):
-            stride = 2 if number else 1
-            layer = nn.Conv(
-                channels, (3, 3), stride, kernel_init=he, conv_general_dilated=convolution
-            )
-            x = nn.gelu(nn.LayerNorm()(layer(x)))
-        dense = nn.Dense(self.net.hidden, kernel_init=he)
-        return nn.gelu(nn.LayerNorm()(dense(x.reshape(count, -1))))
-
-
-class Trunk(nn.Module):
-    """Dense layers, each normalised over its units."""
-
-    net: PinNet
-
-    @nn.compact
-    def __call__(self, x: Array) -> Array:
-        for _ in range(self.net.layers):
-            dense = nn.Dense(self.net.hidden, kernel_init=nn.initializers.he_normal())
-            x = nn.gelu(nn.LayerNorm()(dense(x)))
-        return x
-
-
-class Dense(nn.Module):
-    """A trunk with a linear output, which starts near zero. With a grid (P, G), it convolves."""
-
-    net: PinNet
-    outputs: int
-
-    @nn.compact
-    def __call__(self, x: Array, *grid: Array) -> Array:
-        small = nn.initializers.variance_scaling(0.01, "fan_in", "truncated_normal")
-        trunk = GridTrunk(self.net) if grid else Trunk(self.net)
-        return nn.Dense(self.outputs, kernel_init=small)(trunk(x, *grid))
-
-
-class PinUnshearModule(nn.Module):
-    """E, DC and DS under their names in the paper, over motions (B, 2 P).
-
-    With a grid (P, G) after the motions, E convolves.
-    """
-
-    net: PinUnshear
-    motions: int
-
-    def setup(self) -> None:
-        net = self.net
-        self.E = GridTrunk(net) if net.conv_channels else Trunk(net)
-        self.pose, self.DC = nn.Dense(net.pose_code), Dense(net, self.motions)
-        if net.shear_code:
-            self.shear, self.DS = nn.Dense(net.shear_code), Dense(net, self.motions)
-            self.ES = Trunk(net) if net.separate_encoders else None
-
-    def pose_code(self, motions: Array, *grid: Array) -> Array:
-        return self.pose(self.E(motions, *grid))
-
-    def encode(self, motions: Array, *grid: Array) -> tuple[Array, Array | None]:
-        z = self.E(motions, *grid)
-        if not self.net.shear_code:
-            return self.pose(z), None
-        return self.pose(z), self.shear(z if self.ES is None else self.ES(motions))
-
-    def decode_canonical(self, z_p: Array) -> Array:
-        return self.DC(z_p)
-
-    def decode_sheared(self, z_p: Array, z_s: Array) -> Array:
-        return self.DS(jnp.concatenate([z_p, z_s], -1))
-
-    def __call__(self, motions: Array, *grid: Array) -> tuple[Array, Array | None]:
-        z_p, z_s = self.encode(motions, *grid)
-        return self.DC(z_p), None if z_s is None else self.decode_sheared(z_p, z_s)
-
-
 # settings, size of the motions (2 P), outputs of the pose targets -> module, width of its input
 _MODULES: dict[type, Callable[[Net, int, int], tuple[nn.Module, int]]] = {
     PinUnshear: lambda net, motions, outputs: (PinUnshearModule(net, motions), motions),
@@ -176,6 +86,7 @@ def init(
     key: Array,
     outputs: int = 0,
     grid: ArrayLike | None = None,
+    tasks: ArrayLike | None = None,
 ) -> Variables:
     """Make fresh variables for pins that rest at `rest` px.
 
@@ -183,6 +94,8 @@ def init(
         spread: how far pins move, root mean square in px.
         outputs: how many the pose targets have together, for all but PinUnshear.
         grid: `make_grid(rest)`, if it is known.
+        tasks: shares (T,) of the tasks of a contact whose task is unknown, for PinUnshear; None for
+            one task.
     """
     module, width = _MODULES[type(net)](net, int(np.size(rest)), outputs)
     constants = {"rest": jnp.asarray(rest, jnp.float32), "spread": jnp.asarray(spread, jnp.float32)}
@@ -190,6 +103,9 @@ def init(
     if net.conv_channels:
         constants["grid"] = jnp.asarray(make_grid(rest) if grid is None else grid)
         inputs.append(constants["grid"])
+    if tasks is not None:
+        constants["tasks"] = jnp.asarray(tasks, jnp.float32)
+        inputs.append(constants["tasks"][None])
     params = module.init(key, *inputs)["params"]
     return {"params": params, "batch_stats": constants}
 
@@ -305,6 +221,34 @@ def move_frame(variables: Variables, shift: ArrayLike) -> Variables:
     return variables | {"batch_stats": constants | {"rest": moved}}
 
 
+def tell_tasks(variables: Variables, shares: Float[Array, "B T"]) -> Variables:
+    """Tell a network of several tasks which task each contact of a batch is of: 1, and 0 else."""
+    return variables | {"batch_stats": variables["batch_stats"] | {"tasks": shares}}
+
+
+def fold_tasks(variables: Variables, shares: ArrayLike | None = None) -> Variables:
+    """Turn a network of several tasks into one of contacts with these shares (T,) of tasks.
+
+    The input that is constant then goes into the first layer. Without `shares` the task is unknown.
+    Other networks stay as they are.
+    """
+    constants, params = dict(variables.get("batch_stats", {})), variables["params"]
+    unknown = constants.pop("tasks", None)
+    if unknown is None:
+        return variables
+    weights = unknown if shares is None else jnp.asarray(shares, jnp.float32)
+    name = "Conv_0" if "Conv_0" in params["E"] else "Dense_0"
+    layer = params["E"][name]
+    kernel, tasks = jnp.split(layer["kernel"], [layer["kernel"].shape[-2] - len(weights)], axis=-2)
+    told = jnp.einsum("t,...tc->...c", weights, tasks)
+    if name == "Conv_0":  # the last channel before is 1 on the skin, as that of the told task
+        layer = layer | {"kernel": kernel.at[..., -1, :].add(told)}
+    else:
+        layer = layer | {"kernel": kernel, "bias": layer["bias"] + told}
+    folded = params | {"E": params["E"] | {name: layer}}
+    return variables | {"params": folded, "batch_stats": constants}
+
+
 def add_noise(net: PinNet, pins: Pins, key: Array) -> Pins:
     """Add the noise of training examples to pins."""
     return pins + net.noise_px * jax.random.normal(key, pins.shape)
@@ -326,14 +270,18 @@ def _apply(net: PinUnshear, variables: Variables, method: str, *inputs: Array) -
 
 
 def _make_inputs(net: PinNet, variables: Variables, pins: Array) -> tuple[Array, ...]:
-    """Make the inputs of E, or of a PoseNet: motions, and the grid if the network convolves.
+    """Make the inputs of E, or of a PoseNet: motions, the grid if the network convolves, tasks.
 
-    Motions (B, 2 P) are in units of `spread`; 0 for missing pins.
+    Motions (B, 2 P) are in units of `spread`; 0 for missing pins. Networks of one task take none.
     """
     constants = variables["batch_stats"]
     motion = (pins - constants["rest"][None]) / constants["spread"]
     motions = jnp.where(jnp.isfinite(motion), motion, 0).reshape(pins.shape[0], -1)
-    return (motions, constants["grid"]) if net.conv_channels else (motions,)
+    inputs = [motions, *([constants["grid"]] if net.conv_channels else [])]
+    if "tasks" in constants:
+        tasks = constants["tasks"]
+        inputs.append(jnp.broadcast_to(tasks, (len(motions), tasks.shape[-1])))
+    return tuple(inputs)
 
 
 def _convert_to_pins(variables: Variables, motions: Array) -> Array:

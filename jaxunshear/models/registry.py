@@ -32,6 +32,7 @@ class InitFacts(NamedTuple):
     rest: ArrayLike = np.zeros((0, 2), np.float32)  # (P, 2) px: the untouched pins
     spread: float | Array = 1.0  # how far pins move, root mean square in px
     grid: ArrayLike | None = None  # the weights of `make_grid`, which takes seconds, if known
+    tasks: ArrayLike | None = None  # (T,) what is assumed of an unknown task, of a network of many
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,9 @@ class NetworkFunctions:
 
 
 def _init_pin_network(net: networks.PinNet, facts: InitFacts, key: Array) -> Variables:
-    return pin_networks.init(net, facts.rest, facts.spread, key, facts.outputs, facts.grid)
+    return pin_networks.init(
+        net, facts.rest, facts.spread, key, facts.outputs, facts.grid, facts.tasks
+    )
 
 
 _FUNCTIONS: dict[type, NetworkFunctions] = {

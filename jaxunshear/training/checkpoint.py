@@ -28,14 +28,14 @@ from jaxunshear.config.serialization import OLD_FILES, add_version, remove_versi
 from jaxunshear.config.targets import Targets, count_outputs, from_json
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
-from jaxunshear.models.pin_networks import move_frame
+from jaxunshear.models.pin_networks import fold_tasks, move_frame
 from jaxunshear.models.registry import find_misfit, find_settings_class
 from jaxunshear.models.weights import Net, Variables, list_leaves
 
 State = TypeVar("State")
 MODEL, SUMMARY = "model.json", "summary.json"
 WEIGHTS, DIGEST, FILES = "weights.npz", "digest", "files"
-FRAME_SHIFT = "frame_shift"  # in model.json: how the pins to be read become the network's own
+FRAME_SHIFT, TASK_SHARES = "frame_shift", "task_shares"  # in model.json: of the pins to be read
 
 
 def save(folder: Path, step: int, state: object, record: Json) -> None:
@@ -345,7 +345,7 @@ def _flatten(tree: object, prefix: str = "") -> Json:
 def move_network(source: Path, target: Path, changes: Json, shift: Sequence[float]) -> None:
     """Copy a trained network to frames whose pins get to its own by `shift` px; none over images.
 
-    `changes` replace fields of its model.json.
+    `changes` replace fields of its model.json, such as TASK_SHARES of a network of several tasks.
     """
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(source, target)
@@ -363,7 +363,9 @@ def load_network(folder: Path) -> TrainedNetwork:
     """Load a network from its folder. Raises UserError if it is missing, damaged or unfinished."""
     check_training(folder)
     net, variables, targets = read_net(folder), load_best(folder), read_targets(folder)
-    if moved := _read_model(Path(folder) / MODEL).get(FRAME_SHIFT):
+    stored = _read_model(Path(folder) / MODEL)
+    variables = fold_tasks(variables, stored.get(TASK_SHARES))
+    if moved := stored.get(FRAME_SHIFT):
         variables = move_frame(variables, moved)
     if misfit := find_misfit(net, variables, count_outputs(targets)):
         raise UserError(f"{folder}: its weights do not fit its {MODEL} ({misfit}): copy both again")

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 import jax
+import numpy as np
 from jax import Array
 
 from jaxunshear.config.experiment import Experiment
@@ -55,10 +56,7 @@ def make_task(
     modality = get_net_modality(net)
     field = modality.single if config.spec.learns_from == "taps" else modality.sheared
     fields: tuple[str, ...] = (field, *list_label_fields(targets))
-    facts = InitFacts()
-    if modality is PINS:
-        rest = examples.pins.rest
-        facts = InitFacts(rest=rest, spread=measure_pin_spread(examples.reader, field, rest))
+    facts = _describe_pins(examples, field) if modality is PINS else InitFacts()
     if config.spec.role == "renders":
         task = tasks.make_renderer_task(net, training, targets, facts)
     elif config.spec.role == "reads poses":
@@ -74,6 +72,8 @@ def make_task(
         load_teacher = HelperLoader(experiment, folder, folder).load_teacher
         supervision = _supervise(net, training, examples, load_teacher)
         task = tasks.make_unshear_task(net, training, supervision, facts)
+        if facts.tasks is not None:
+            task = tasks.tell_tasks(task, examples.tasks)
         pairs = examples.reader.length("train")
         if pairs < training.rotated_below:
             share = MAX_ROTATED * (1 - pairs / training.rotated_below)
@@ -85,6 +85,14 @@ def make_task(
         if config.randomised:
             task = _randomise_pins(task, examples, config.randomised)
     return task, tuple(dict.fromkeys(fields))
+
+
+def _describe_pins(examples: Examples, field: str) -> InitFacts:
+    """Describe the pins and tasks of the examples to a network that reads `field`."""
+    rest, count = examples.pins.rest, examples.tasks
+    shares = np.full(count, 1 / count, np.float32) if count > 1 else None
+    spread = measure_pin_spread(examples.reader, field, rest)
+    return InitFacts(rest=rest, spread=spread, tasks=shares)
 
 
 def _supervise(

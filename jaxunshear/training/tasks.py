@@ -102,6 +102,22 @@ def make_unshear_task(
     return replace(task, slide_targets=supervision.slides)
 
 
+def tell_tasks(task: Task, count: int) -> Task:
+    """Tell a network over pins which of `count` tasks each contact is of, by its `stimulus`."""
+
+    def tell(variables: Tree, batch: Batch) -> Tree:
+        return pin_networks.tell_tasks(variables, jax.nn.one_hot(batch["stimulus"], count))
+
+    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
+        values, _ = task.terms(tell(variables, batch), batch, key)
+        return values, variables["batch_stats"]  # not those that were told
+
+    def validate(variables: Tree, batch: Batch) -> Terms:
+        return task.validate(tell(variables, batch), batch)
+
+    return replace(task, terms=terms, validate=validate)
+
+
 def rotate_pairs(task: Task, rotate: Callable[[Batch, Array], tuple[Batch, Array]]) -> Task:
     """Rotate the batches that a network that unshears learns from, by `make_pair_rotation`.
 

@@ -95,6 +95,8 @@ def test_tasks_are_named_by_their_folders():
     parts = open_source(experiment).list_parts()
     assert [part.name for part in parts] == list(tasks.names)
     assert all(part.networks == ("posenet",) for part in parts)  # none has slides
+    others = RecordedTasks(tasks.tasks[1:], tasks.names[1:])
+    assert others.names == ("edge_2", "surface", "joint_4")
 
 
 @pytest.mark.parametrize(
@@ -106,6 +108,13 @@ def test_problems_of_tasks_are_named(digests, remedy):
     experiment = Experiment("lab", "", paired=RecordedTasks(tasks))
     problems = dict(find_experiment_problems(experiment))
     assert remedy in problems["paired.tasks"]
+
+
+@pytest.mark.parametrize("names", [("one",), ("one", "one"), ("one", "joint")])
+def test_tasks_need_names_of_their_own(names):
+    tasks = RecordedTasks((Recorded("a", "a", digest="a"), Recorded("b", "b", digest="b")), names)
+    problems = dict(find_experiment_problems(Experiment("lab", "", paired=tasks)))
+    assert "a name of its own" in problems["paired.names"]
 
 
 def test_simulated_contacts_have_no_parts():

@@ -15,11 +15,13 @@ from jaxunshear.models.pin_networks import (
     decode_canonical,
     decode_sheared,
     encode,
+    fold_tasks,
     init,
     make_grid,
     predict,
     reconstruct,
     render_pins,
+    tell_tasks,
     unshear,
 )
 from jaxunshear.models.reconstruction import measure_disagreement
@@ -237,3 +239,33 @@ def test_a_smooth_field_comes_out_at_its_places():
     # others are beyond the last pins
     beside = np.linalg.norm(at[inside][:, None] - rest, axis=-1).min(axis=1) < 0.6 * 7.0
     assert error[beside].max() < 0.04 and error.max() < 0.2
+
+
+@pytest.mark.parametrize("changes", [{}, {"conv_channels": (4, 6), "separate_encoders": True}])
+def test_a_network_of_several_tasks_folds_into_one_of_a_task(changes):
+    net = PinUnshear(**SMALL | changes)
+    unknown = jnp.full(3, 1 / 3)
+    variables = init(net, REST, 1.5, jax.random.key(0), tasks=unknown)
+    pins, second = moved(), jnp.array([0.0, 1.0, 0.0])
+    told = unshear(net, tell_tasks(variables, jnp.tile(second, (3, 1))), pins)
+    folded = fold_tasks(variables, second)
+    np.testing.assert_allclose(unshear(net, folded, pins), told, rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(
+        unshear(net, fold_tasks(variables), pins),
+        unshear(net, variables, pins),
+        rtol=1e-5,
+        atol=1e-4,
+    )
+    assert np.abs(told - unshear(net, variables, pins)).max() > 1e-3
+    alone = init(net, REST, 1.5, jax.random.key(0))
+    assert jax.tree.map(jnp.shape, folded) == jax.tree.map(jnp.shape, alone)
+
+
+def test_each_contact_of_a_batch_is_of_its_own_task():
+    net = PinUnshear(**SMALL, conv_channels=(4, 6))
+    variables = init(net, REST, 1.5, jax.random.key(0), tasks=jnp.full(3, 1 / 3))
+    shares, pins = jnp.eye(3), moved()
+    together = unshear(net, tell_tasks(variables, shares), pins)
+    for i in range(3):
+        alone = unshear(net, fold_tasks(variables, shares[i]), pins[i : i + 1])[0]
+        np.testing.assert_allclose(together[i], alone, rtol=1e-5, atol=1e-4)

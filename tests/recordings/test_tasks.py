@@ -11,6 +11,8 @@ import pytest
 from jaxunshear import load_model
 from jaxunshear.cli import main
 from jaxunshear.data.recordings import read_image
+from jaxunshear.files import read_object
+from jaxunshear.training.checkpoint import MODEL, TASK_SHARES, load_network
 from tests.helpers.commands import succeed
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -63,6 +65,17 @@ def test_the_folder_of_a_task_is_a_model(run, folders):
         poses = model.pose(model.prepare(read_image(file))[None])
         assert list(poses["unsheared"]) == TARGETS.get(name, ["z_mm"])
         assert np.isfinite(list(poses["unsheared"].values())).all()
+
+
+def test_the_model_of_a_task_was_told_its_task(run):
+    stored = {name: run / name / "disentangled" for name in (*TARGETS, "lone")}
+    shares = {name: read_object(path / MODEL).get(TASK_SHARES) for name, path in stored.items()}
+    assert shares == {"edge": [1, 0], "surface": [0, 1], "lone": None}  # which has no slides
+    parts = [load_network(path).variables["params"]["E"]["Conv_0"] for path in stored.values()]
+    assert {each["kernel"].shape for each in parts} == {(3, 3, 3, 4)}  # those of one task
+    edge, surface, unknown = (np.asarray(each["kernel"], np.float64) for each in parts)
+    np.testing.assert_allclose(unknown, (edge + surface) / 2, atol=1e-6)
+    assert np.abs(edge - surface)[:, :, -1].max() > 1e-3
 
 
 def test_a_model_is_the_folder_of_a_task(run, tmp_path, command):

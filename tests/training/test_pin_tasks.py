@@ -21,6 +21,7 @@ from jaxunshear.training.tasks import (
     make_renderer_task,
     make_unshear_task,
     rotate_pairs,
+    tell_tasks,
 )
 from tests.helpers.gradients import list_taught_parts
 from tests.helpers.network_parts import find_taught_parts
@@ -233,3 +234,24 @@ def test_a_teacher_asks_for_the_true_pose_or_the_partners(loss):
     turned = task.validate(variables, given | {"pose": POSES[::-1]})[loss]
     assert np.any(other != first) == (loss == "pose_tap")
     assert np.any(turned != first) == (loss == "pose_label")
+
+
+@pytest.mark.parametrize("conv_channels", [(), (4, 6)])
+def test_contacts_of_a_task_teach_what_is_told_of_it_and_nothing_of_others(conv_channels):
+    net = PinUnshear(**SMALL, conv_channels=conv_channels)
+    facts = FACTS._replace(tasks=np.full(2, 0.5, np.float32))
+    task = tell_tasks(make_unshear_task(net, PAIRS, facts=facts), 2)
+    variables = task.init(KEY)
+    pairs = batch() | {"stimulus": np.ones(6, np.int32)}
+    layer = "Conv_0" if conv_channels else "Dense_0"
+
+    def compute_loss(params):
+        terms, constants = task.terms(variables | {"params": params}, pairs, KEY)
+        return terms["supervised"].sum(), constants
+
+    gradient, constants = jax.grad(compute_loss, has_aux=True)(variables["params"])
+    of_tasks = gradient["E"][layer]["kernel"][..., -2:, :]
+    assert (of_tasks[..., 0, :] == 0).all() and np.abs(of_tasks[..., 1, :]).max() > 0
+    np.testing.assert_array_equal(constants["tasks"], facts.tasks)
+    first = task.validate(variables, pairs | {"stimulus": np.zeros(6, np.int32)})
+    assert (first["supervised"] != task.validate(variables, pairs)["supervised"]).any()

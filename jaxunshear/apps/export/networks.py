@@ -177,7 +177,7 @@ def _add_trunk(graph: OnnxGraph, net: PinNet, params: Variables, x: str) -> str:
 def _add_grid_trunk(
     graph: OnnxGraph, net: PinNet, variables: Variables, params: Variables, motions: str
 ) -> str:
-    """Add the nodes of `pin_networks.GridTrunk`, channels first except in normalisation."""
+    """Add the nodes of `pin_layers.GridTrunk`, channels first except in normalisation."""
     grid = _to_float32(variables["batch_stats"]["grid"])
     side = math.isqrt(grid.shape[1])
     by_pin = graph.add("Reshape", motions, np.array([-1, len(grid), 2]))
@@ -219,7 +219,7 @@ def _add_layer_norm(graph: OnnxGraph, norm: Variables, x: str) -> str:
 
 
 def _add_pin_dense(graph: OnnxGraph, net: PinNet, params: Variables, x: str) -> str:
-    """Add the nodes of `pin_networks.Dense`.
+    """Add the nodes of `pin_layers.Dense`.
 
     A network with rotation augmentation also takes a rotation as cosine and sine. Here there is
     none, so (1, 0) goes into the bias.
