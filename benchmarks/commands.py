@@ -91,6 +91,11 @@ COMMANDS = {
         "bench_adapt",
         ("recordings", "seed"),
     ),
+    "taps_alone": Benchmark(
+        "how much of a slide is undone on a task of which there are taps alone",
+        "bench_taps_alone",
+        ("run",),
+    ),
     "demo": Benchmark("how long each stage of `make demo` takes, installs apart", "bench_demo"),
     "explore": Benchmark("how long a picture of `jaxunshear explore` takes", "bench_explore"),
 }
@@ -101,6 +106,7 @@ _ARGUMENTS: dict[str, dict[str, Any]] = {
     "seed": {"metavar": "N", "type": int, "default": 0, "help": "of the contacts (0)"},
     "recordings": {"metavar": "DIR", "type": Path, "help": "also of these"},
     "out": {"metavar": "DIR", "type": Path, "help": "folder for the figure"},
+    "run": {"metavar": "RUN", "type": Path, "required": True, "help": "of several tasks"},
     "weights": {
         "metavar": "FILE",
         "type": Path,

@@ -4,6 +4,7 @@
     RUN/trained/joint    the joint network, which learnt from all tasks
     RUN/<task>           the joint network with the PoseNets of that task: for `pose`, `stream` ...
     RUN/others/<task>    a network that learnt from the other tasks, with the PoseNets of that task
+    RUN/taps_alone/<task>    one that learnt from taps of that task, too, by `score_taps_alone`
 
 RUN/results.json compares them: `tests` has a table of poses for each task.
 """
@@ -17,10 +18,15 @@ from typing import NamedTuple, cast
 from jaxunshear.cluster import CallRunner, run_locally
 from jaxunshear.config.data import JOINT, Recorded, RecordedTasks
 from jaxunshear.config.experiment import Experiment, uses_pins
-from jaxunshear.config.network_config import list_trained_networks, resolve_network
-from jaxunshear.config.networks import TRAINABLE
+from jaxunshear.config.network_config import (
+    list_required_networks,
+    list_trained_networks,
+    resolve_network,
+)
+from jaxunshear.config.networks import TEACHER, TRAINABLE
 from jaxunshear.config.serialization import load_settings
 from jaxunshear.config.targets import Target, list_target_names, make_label_targets
+from jaxunshear.config.training import uses_teacher
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.data.sources import open_source
 from jaxunshear.data.task_source import TaskSource, align_frames
@@ -34,7 +40,7 @@ from jaxunshear.training.checkpoint import TASK_SHARES, move_network, read_targe
 from jaxunshear.training.examples import FRAME
 from jaxunshear.training.provenance import list_training_digests
 
-TRAINED, OTHERS = "trained", "others"  # in the folder of a run
+TRAINED, OTHERS, TAPS_ALONE = "trained", "others", "taps_alone"  # in the folder of a run
 UNSHEARED = "unsheared"
 # kinds of the joint table: by the folder of the run that they come from, their kinds there
 ROWS = {
@@ -78,7 +84,7 @@ def run_tasks(
     tasks, is_trained = source.list_parts(), not TRAINABLE.isdisjoint(stages)
     run_stages(experiment, (), out, data, command, run_calls)  # writes its settings
     for task in tasks:
-        networks = list_trained_networks(task) if is_trained else ()
+        networks = _list_networks(experiment, task) if is_trained else ()
         run.run(task, ("data", *networks) if "data" in stages or is_trained else (), TRAINED)
     if is_trained:
         _train(run, JOINT, tasks)
@@ -87,6 +93,27 @@ def run_tasks(
         from jaxunshear.report.report import write_report
 
         print(f"report: {write_report(run.folder)}")
+    return results
+
+
+def score_taps_alone(run_dir: Path, data: Path, command: str) -> dict[str, Results]:
+    """Score, of each task of a finished run, a network that has seen no slide of it.
+
+    It learns from the slides of the other tasks, and from the taps of this one with slides that are
+    transferred to them. Raises UserError.
+    """
+    source = open_source(load_settings(run_dir))
+    assert isinstance(source, TaskSource)
+    run = _TaskRun(source.experiment, source, run_dir, data, command, run_locally)
+    results = {}
+    for task in _list_tested(source):
+        alone = replace(task, paired=replace(cast(Recorded, task.paired), slide_folder=""))
+        open_source(alone).make_sets(data)
+        parts = [alone if part.name == task.name else part for part in source.list_parts()]
+        learnt = _train(run, f"taps_of_{task.name}", parts)
+        _assemble(run, task, learnt, TAPS_ALONE)
+        path = run_dir / TAPS_ALONE / task.name / "results.json"
+        results[task.name] = read_record(path, Results, EVALUATE_REMEDY)
     return results
 
 
@@ -116,6 +143,19 @@ def find_task(run_dir: Path, recordings: Path) -> Path:
     return run_dir / found[0]
 
 
+def _list_networks(experiment: Experiment, task: Experiment) -> tuple[str, ...]:
+    """List the networks to train of a task, with a teacher of the joint network."""
+    names = task.networks
+    trainings = [resolve_network(experiment, name).training for name in experiment.networks]
+    if cast(Recorded, task.paired).tap_folder and any(map(uses_teacher, trainings)):
+        names = (TEACHER, *names)
+    return list_required_networks(*(resolve_network(task, name) for name in names))
+
+
+def _list_tested(source: TaskSource) -> list[Experiment]:
+    return [part for part in source.list_parts() if cast(Recorded, part.paired).slide_folder]
+
+
 def _train(run: _TaskRun, name: str, tasks: list[Experiment]) -> Experiment:
     """Train a network on some tasks, or take that of a single one; return its experiment."""
     if len(tasks) == 1:
@@ -131,33 +171,31 @@ def _train(run: _TaskRun, name: str, tasks: list[Experiment]) -> Experiment:
 
 def _evaluate(run: _TaskRun, tasks: list[Experiment]) -> Results:
     """Make the model of each task; score networks of all and of the other tasks on its slides."""
-    tested = run.source.list_taught_parts()
+    tested = _list_tested(run.source)
     joint = _train(run, JOINT, tasks)
     for task in tasks:
         run.run(task, ("evaluate", "report"), TRAINED)
-        _assemble(run, task, joint, tested[0], "")
+        _assemble(run, task, joint, "")
         others = [other for other in tested if other.name != task.name]
         if task in tested and others:
             learnt = _train(run, f"without_{task.name}", others)
-            _assemble(run, task, learnt, others[0], OTHERS)
+            _assemble(run, task, learnt, OTHERS)
     trained = run.folder / TRAINED / joint.name
     results = finish_results(_collect(run, tested), joint, trained, run.command)
     write_record(run.folder / "results.json", results)
     return results
 
 
-def _assemble(
-    run: _TaskRun, task: Experiment, learnt: Experiment, reference: Experiment, place: str
-) -> None:
-    """Make and score the run of a task with its own PoseNets and the network of `learnt`.
-
-    That network has the frame of the task `reference`.
-    """
+def _assemble(run: _TaskRun, task: Experiment, learnt: Experiment, place: str) -> None:
+    """Make and score the run of a task with its own PoseNets and the network of `learnt`."""
+    source = open_source(learnt)
+    taught = source.list_taught_parts() if isinstance(source, TaskSource) else []
+    reference = taught[0] if taught else learnt  # whose frame that network has
     own, target = run.folder / TRAINED / task.name, run.folder / place / task.name
     shift = align_frames(run.read_frame(task), run.read_frame(reference)).shift.tolist()
     target.mkdir(parents=True, exist_ok=True)
     shutil.copy2(own / FRAME, target / FRAME)
-    digests = open_source(learnt).list_test_digests()
+    digests = source.list_test_digests()
     others = tuple(sorted(digests - open_source(task).list_test_digests()))
     joined = run.experiment.networks
     experiment = replace(
@@ -171,19 +209,11 @@ def _assemble(
     for name in joined:
         origin = open_source(experiment).describe_origin(resolve_network(experiment, name))
         changes: Json = {"origin": origin, "data": list_training_digests(learnt, name, None)}
-        if any(shares := _list_shares(learnt, task)):
-            changes[TASK_SHARES] = shares
-        source = run.folder / TRAINED / learnt.name / name
-        move_network(source, target / name, changes, shift if uses_pins(task) else [])
+        if task.name in (names := [part.name for part in taught]):
+            changes[TASK_SHARES] = [float(each == task.name) for each in names]
+        trained = run.folder / TRAINED / learnt.name / name
+        move_network(trained, target / name, changes, shift if uses_pins(task) else [])
     run.run(experiment, ("evaluate", "report"), place)
-
-
-def _list_shares(learnt: Experiment, task: Experiment) -> list[float]:
-    """List which of the tasks that a network learnt `task` is: 1, and 0 else."""
-    source = open_source(learnt)
-    if not isinstance(source, TaskSource):
-        return []
-    return [float(part.paired == task.paired) for part in source.list_taught_parts()]
 
 
 def _collect(run: _TaskRun, tasks: list[Experiment]) -> Results:

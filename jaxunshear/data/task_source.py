@@ -7,10 +7,11 @@ Pins of all tasks are given in the frame of the first. A frame may differ from i
 the mean over the pins at the rim shows: a contact moves these little, and towards all sides.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -28,7 +29,14 @@ from jaxunshear.config.targets import (
 )
 from jaxunshear.data.chunks import join_field
 from jaxunshear.data.reader import Batch, Reader
+from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.data.recorded_source import RecordedSource, read_pin_layout
+from jaxunshear.data.slide_transfer import (
+    SlideTransfer,
+    TransferReader,
+    give_slides,
+    make_slide_transfer,
+)
 from jaxunshear.data.sources import DataSource, Examples, Helpers, PinLayout
 from jaxunshear.files import Json
 from jaxunshear.perception.lattice import find_rim
@@ -75,8 +83,8 @@ class TaskSource(DataSource):
         return parts
 
     def list_taught_parts(self) -> list[Experiment]:
-        """List the experiments of the tasks that have slides, which the joint network learns."""
-        return [part for part in self.list_parts() if cast(Recorded, part.paired).slide_folder]
+        """List the experiments of the tasks that the joint network learns: all that have taps."""
+        return [part for part in self.list_parts() if cast(Recorded, part.paired).tap_folder]
 
     def list_test_digests(self) -> set[str]:
         return set().union(*(source.list_test_digests() for source in self._list_sources()))
@@ -88,40 +96,80 @@ class TaskSource(DataSource):
         return [RecordedSource(part) for part in self.list_parts()]
 
     def describe_origin(self, config: NetworkConfig) -> Json:
-        tasks = cast(RecordedTasks, config.source).tasks
-        return {
-            "tasks": [
-                source.describe_origin(replace(config, source=task))
-                for source, task in zip(self._list_sources(), tasks, strict=True)
-            ]
-        }
+        origins = []
+        for source, task in zip(
+            self._list_sources(), cast(RecordedTasks, config.source).tasks, strict=True
+        ):
+            origin = source.describe_origin(replace(config, source=task))
+            origins.append(origin if task.slide_folder else origin | {"pairing": "transferred"})
+        return {"tasks": origins}
 
     def open_examples(self, config: NetworkConfig, data_dir: Path, helpers: Helpers) -> Examples:
-        """Open the slides of all tasks that have any, each with its partner."""
-        parts = self.list_taught_parts()
-        stored = [RecordedSource(part).open_stored(data_dir) for part in parts]
-        images = config.modality == "images"
-        frames = [each.frame for each in stored]
+        """Open the pairs of all tasks, in one frame."""
+        tasks = [_open_task(part, data_dir, helpers) for part in self.list_taught_parts()]
+        frames = [task.stored.frame for task in tasks]
         shifts = [align_frames(frame, frames[0]) for frame in frames]
-        readers, targets, load_teachers = [], [], []
-        for part, each, shift in zip(parts, stored, shifts, strict=True):
-            own, part_helpers = each.make_targets(part.targets), helpers.select_part(part)
-            readers.append(RecordedSource(part).open_pairs(each, own, part_helpers, images))
-            targets.append(own)
-            load_teachers.append(partial(part_helpers.load_teacher, shift.shift))
-        reader = join_readers(readers, shifts, each.size)
+        readers, transfers = _open_readers(tasks, config.modality == "images")
+        reader = join_readers(readers, shifts, tasks[0].stored.size, transfers)
+        load_teachers = [
+            partial(task.helpers.load_teacher, shift.shift)
+            for task, shift in zip(tasks, shifts, strict=True)
+        ]
         return Examples(
             reader,
-            join_targets(targets),
+            join_targets([task.targets for task in tasks]),
             average_layouts(frames, shifts),
             reader.length("train"),
             slide_targets=make_move_targets(reader.rows("train")["move"]),
             load_teachers=tuple(load_teachers),
-            tasks=len(parts),
+            tasks=len(tasks),
         )
 
 
-def join_readers(readers: Sequence[Reader], shifts: Sequence[FrameShift], size: int) -> Reader:
+class _OpenTask(NamedTuple):
+    part: Experiment
+    stored: RecordedSet
+    targets: Targets
+    helpers: Helpers
+
+
+def _open_task(part: Experiment, data_dir: Path, helpers: Helpers) -> _OpenTask:
+    stored = RecordedSource(part).open_stored(data_dir)
+    return _OpenTask(part, stored, stored.make_targets(part.targets), helpers.select_part(part))
+
+
+def _open_readers(
+    tasks: Sequence[_OpenTask], images: bool
+) -> tuple[list[Reader], dict[int, SlideTransfer]]:
+    """Open the pairs of each task; taps of a task without slides get those of the others.
+
+    Also return how, by the number of the task.
+    """
+    recorded = {
+        task.part.name: RecordedSource(task.part).open_pairs(
+            task.stored, task.targets, task.helpers, images
+        )
+        for task in tasks
+        if cast(Recorded, task.part.paired).slide_folder
+    }
+    transfer = make_slide_transfer(tuple(recorded.values()))
+    readers, transfers = [], {}
+    for number, task in enumerate(tasks):
+        if task.part.name in recorded:
+            readers.append(recorded[task.part.name])
+        else:
+            give = partial(give_slides, task.stored, transfer)
+            readers.append(task.stored.read_pairs(task.targets, images=images, simulate=give))
+            transfers[number] = transfer
+    return readers, transfers
+
+
+def join_readers(
+    readers: Sequence[Reader],
+    shifts: Sequence[FrameShift],
+    size: int,
+    transfers: Mapping[int, SlideTransfer] = MappingProxyType({}),
+) -> Reader:
     """Join readers of pairs: `stimulus` is the task, and pins are in the frame of the first."""
 
     def load(split: str) -> Batch:
@@ -138,7 +186,7 @@ def join_readers(readers: Sequence[Reader], shifts: Sequence[FrameShift], size: 
         fields = set.intersection(*map(set, parts)) - {"others"}
         return {field: join_field(parts, field) for field in fields}
 
-    return Reader(load, size)
+    return TransferReader(load, size, transfers)
 
 
 def join_targets(targets: Sequence[Targets]) -> Targets:

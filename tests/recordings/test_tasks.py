@@ -8,6 +8,7 @@ import made
 import numpy as np
 import pytest
 
+from benchmarks import bench_taps_alone
 from jaxunshear import load_model
 from jaxunshear.cli import main
 from jaxunshear.data.recordings import read_image
@@ -70,12 +71,12 @@ def test_the_folder_of_a_task_is_a_model(run, folders):
 def test_the_model_of_a_task_was_told_its_task(run):
     stored = {name: run / name / "disentangled" for name in (*TARGETS, "lone")}
     shares = {name: read_object(path / MODEL).get(TASK_SHARES) for name, path in stored.items()}
-    assert shares == {"edge": [1, 0], "surface": [0, 1], "lone": None}  # which has no slides
+    assert shares == {"edge": [1, 0, 0], "surface": [0, 1, 0], "lone": [0, 0, 1]}
     parts = [load_network(path).variables["params"]["E"]["Conv_0"] for path in stored.values()]
     assert {each["kernel"].shape for each in parts} == {(3, 3, 3, 4)}  # those of one task
-    edge, surface, unknown = (np.asarray(each["kernel"], np.float64) for each in parts)
-    np.testing.assert_allclose(unknown, (edge + surface) / 2, atol=1e-6)
-    assert np.abs(edge - surface)[:, :, -1].max() > 1e-3
+    kernels = [np.asarray(each["kernel"]) for each in parts]
+    assert all(np.ptp(kernels, axis=0)[:, :, -1].max(axis=(0, 1)) > 1e-3)
+    np.testing.assert_array_equal(np.ptp(kernels, axis=0)[:, :, :-1], 0)
 
 
 def test_a_model_is_the_folder_of_a_task(run, tmp_path, command):
@@ -101,3 +102,16 @@ def test_recordings_are_scored_as_the_task_whose_labels_vary(run, place, tmp_pat
     succeed(command, "evaluate", run, "--recordings", other, *words)
     rows = {row["name"] for row in json.loads((tmp_path / "o.json").read_text())["rows"]}
     assert "pose_mae.unsheared.z_mm" in rows and "pose_mae.unsheared.y_mm" not in rows
+
+
+def test_taps_alone_and_slides_of_other_tasks_teach_to_unshear(run, place):
+    rows = bench_taps_alone.bench_taps_alone(run, place / "datasets")
+    names = [row["name"] for row in rows]
+    kinds = ("tap", "sheared", "nothing", "taps alone", "slides")
+    assert names == [f"{task}/{kind}" for task in TARGETS for kind in kinds]
+    errors = {row["name"]: row["Rz_deg"] for row in rows if row["task"] == "edge"}
+    assert errors["edge/taps alone"] < errors["edge/nothing"]
+    assert "recovery_Rz_deg" in bench_taps_alone.format_table(rows)
+    model = read_object(run / "trained" / "taps_of_edge" / "disentangled" / MODEL)
+    origins = model["origin"]["tasks"]
+    assert [origin["pairing"] for origin in origins] == ["transferred", "rendered", "transferred"]
