@@ -47,7 +47,10 @@ TOOL_PROGRAMS = {  # the modules that `python -m` starts from
     },
     **{
         f"benchmarks {name}": (f"benchmarks.bench_{name}",)
-        for name in ("sim", "pins", "lost_pins", "touch", "filter", "data", "contacts", "adapt")
+        for name in (
+            *("sim", "pins", "lost_pins", "touch", "filter", "data", "contacts", "adapt"),
+            "taps_alone",
+        )
     },
     "benchmarks needs": ("benchmarks.bench_omissions",),
     "benchmarks input": ("benchmarks.bench_input_pipeline",),

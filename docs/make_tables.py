@@ -40,7 +40,10 @@ TABLES = {
         partial(recorded_tables.tabulate_contacts, "edge_2d"),
         partial(recorded_tables.tabulate_contacts, "surface_3d"),
     ),
-    "docs/several-tasks.md": (recorded_tables.tabulate_tasks,),
+    "docs/several-tasks.md": (
+        recorded_tables.tabulate_tasks,
+        recorded_tables.tabulate_taps_alone,
+    ),
     "docs/skin.md": (recorded_tables.tabulate_released_skin, recorded_tables.tabulate_transfer),
     "docs/unshear-or-directly.md": (
         partial(recorded_tables.tabulate_rivals, "rivals"),

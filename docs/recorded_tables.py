@@ -36,6 +36,12 @@ TASK_ROWS = {
     "**unsheared by the joint network**": "unsheared",
     "slides, by a PoseNet that learnt from labelled slides": "sheared_learnt",
 }
+TAPS_ALONE_ROWS = {
+    "as recorded": "sheared",
+    "unsheared, nothing known of the task": "nothing",
+    "**unsheared, taps of the task known**": "taps alone",
+    "unsheared, slides of the task known": "slides",
+}
 CONTACT_ROWS = {
     "taps": "tap",
     "**slides unsheared**": "unsheared",
@@ -130,6 +136,33 @@ def tabulate_tasks() -> str:
     lines = start_table(format_line("a PoseNet of the task reads", heads))
     for label, kind in TASK_ROWS.items():
         lines.append(format_line(label, [_format_task(runs, *each, kind) for each in columns]))
+    return "\n".join(lines)
+
+
+def tabulate_taps_alone() -> str:
+    """Tabulate errors on a task by what a network knew of it: mean and range of seeds."""
+    runs = load_runs("taps_alone")
+    columns = [
+        (row["task"], target)
+        for row in runs[0].values()
+        if row["name"].endswith("/sheared")
+        for target in row
+        if target.endswith(("_mm", "_deg"))
+    ]
+    heads = [f"{TASK_TITLES[task]}: {_name_target(target)}" for task, target in columns]
+    lines = start_table(format_line("slides", heads))
+    for label, kind in TAPS_ALONE_ROWS.items():
+        cells = []
+        for task, target in columns:
+            values = [run[f"{task}/{kind}"][target] for run in runs]
+            cells.append(format_range(values, 3 if target.endswith("_mm") else 2))
+        lines.append(format_line(label, cells))
+    for known in ("taps alone", "slides"):
+        cells = []
+        for task, target in columns:
+            values = [run[f"{task}/{known}"][f"recovery_{target}"] for run in runs]
+            cells.append(format_range(values, 2))
+        lines.append(format_line(f"recovery: {known} of the task", cells))
     return "\n".join(lines)
 
 

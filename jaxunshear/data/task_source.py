@@ -24,6 +24,7 @@ from jaxunshear.config.targets import (
     Target,
     Targets,
     count_outputs,
+    list_target_names,
     make_move_targets,
     name_pose_field,
 )
@@ -41,6 +42,7 @@ from jaxunshear.data.sources import DataSource, Examples, Helpers, PinLayout
 from jaxunshear.files import Json
 from jaxunshear.perception.lattice import find_rim
 
+LATERAL = {"x_mm", "y_mm"}  # where an object is under the sensor
 PIN_FIELDS = ("canonical_pins", "sheared_pins")
 
 
@@ -109,7 +111,7 @@ class TaskSource(DataSource):
         tasks = [_open_task(part, data_dir, helpers) for part in self.list_taught_parts()]
         frames = [task.stored.frame for task in tasks]
         shifts = [align_frames(frame, frames[0]) for frame in frames]
-        readers, transfers = _open_readers(tasks, config.modality == "images")
+        readers, transfers = _open_readers(tasks, shifts, config.modality == "images")
         reader = join_readers(readers, shifts, tasks[0].stored.size, transfers)
         load_teachers = [
             partial(task.helpers.load_teacher, shift.shift)
@@ -139,11 +141,11 @@ def _open_task(part: Experiment, data_dir: Path, helpers: Helpers) -> _OpenTask:
 
 
 def _open_readers(
-    tasks: Sequence[_OpenTask], images: bool
+    tasks: Sequence[_OpenTask], shifts: Sequence[FrameShift], images: bool
 ) -> tuple[list[Reader], dict[int, SlideTransfer]]:
     """Open the pairs of each task; taps of a task without slides get those of the others.
 
-    Also return how, by the number of the task.
+    Also return how, by the number of the task, in the frame of all.
     """
     recorded = {
         task.part.name: RecordedSource(task.part).open_pairs(
@@ -152,15 +154,17 @@ def _open_readers(
         for task in tasks
         if cast(Recorded, task.part.paired).slide_folder
     }
-    transfer = make_slide_transfer(tuple(recorded.values()))
+    others = tuple(recorded.values())
     readers, transfers = [], {}
-    for number, task in enumerate(tasks):
+    for number, (task, shift) in enumerate(zip(tasks, shifts, strict=True)):
         if task.part.name in recorded:
             readers.append(recorded[task.part.name])
         else:
-            give = partial(give_slides, task.stored, transfer)
+            rest = read_pin_layout(task.stored.frame).rest
+            is_placed = not LATERAL.isdisjoint(list_target_names(task.targets))
+            give = partial(give_slides, task.stored, make_slide_transfer(others, rest, is_placed))
             readers.append(task.stored.read_pairs(task.targets, images=images, simulate=give))
-            transfers[number] = transfer
+            transfers[number] = make_slide_transfer(others, rest + shift.shift, is_placed)
     return readers, transfers
 
 

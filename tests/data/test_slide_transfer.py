@@ -37,7 +37,7 @@ def transfer():
         "sure": np.array([1, 1, 1, 0]),
     }
     rows["sheared_pins"][2, 5] = np.nan
-    return make_slide_transfer([Reader(lambda split: rows, 96)])
+    return make_slide_transfer([Reader(lambda split: rows, 96)], REST)
 
 
 def test_each_tap_gets_the_scaled_motion_of_a_slide_whose_pins_are_seen(transfer):
@@ -47,6 +47,27 @@ def test_each_tap_gets_the_scaled_motion_of_a_slide_whose_pins_are_seen(transfer
     factor = measure_factors(pins, TAPS, numbers)
     assert FACTOR[0] < factor.min() < 0.3 and 2 < factor.max() < FACTOR[1]
     assert np.median(factor) == pytest.approx(np.sqrt(FACTOR[0] * FACTOR[1]), abs=0.15)
+
+
+def test_the_shape_of_a_placed_object_stays_while_pins_move_past_it():
+    rest = np.stack(np.meshgrid(*[np.linspace(10, 90, 9)] * 2), -1).reshape(-1, 2)
+    slope, slide = np.array([[0.02, 0.01], [-0.01, 0.03]]), np.array([3.0, -2.0])
+    taps = np.float32(np.tile(rest + rest @ slope, (6, 1, 1)))
+    taps[:, 40] = np.nan
+    rows = {
+        "canonical_pins": np.zeros((1, 81, 2)),
+        "sheared_pins": np.tile(slide, (1, 81, 1)),
+        "move": np.zeros((1, 6)),
+        "sure": np.ones(1),
+    }
+    move = make_slide_transfer([Reader(lambda split: rows, 96)], rest, is_placed=True)
+    pins = move(taps, "train", np.random.default_rng(0)).pins
+    inner = (np.abs(rest - 50) < 28).all(axis=1) & (np.abs(rest - 50) > 12).any(axis=1)
+    motion = pins[:, inner] - rest[inner] - rest[inner] @ slope
+    factor = motion[:, :1, 0] / (slide + slide @ slope)[0]
+    expected = factor[:, :, None] * (slide + slide @ slope)
+    np.testing.assert_allclose(motion, np.broadcast_to(expected, motion.shape), atol=1e-3)
+    assert np.isnan(pins[:, 40]).all() and np.isfinite(pins[:, inner]).all()
 
 
 def test_a_split_has_the_same_slides_each_time(transfer):
