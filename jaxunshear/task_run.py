@@ -106,7 +106,7 @@ def score_taps_alone(run_dir: Path, data: Path, command: str) -> dict[str, Resul
     assert isinstance(source, TaskSource)
     run = _TaskRun(source.experiment, source, run_dir, data, command, run_locally)
     results = {}
-    for task in _list_tested(source):
+    for task in _list_tasks_with_slides(source):
         alone = replace(task, paired=replace(cast(Recorded, task.paired), slide_folder=""))
         open_source(alone).make_sets(data)
         parts = [alone if part.name == task.name else part for part in source.list_parts()]
@@ -152,7 +152,7 @@ def _list_networks(experiment: Experiment, task: Experiment) -> tuple[str, ...]:
     return list_required_networks(*(resolve_network(task, name) for name in names))
 
 
-def _list_tested(source: TaskSource) -> list[Experiment]:
+def _list_tasks_with_slides(source: TaskSource) -> list[Experiment]:
     return [part for part in source.list_parts() if cast(Recorded, part.paired).slide_folder]
 
 
@@ -171,7 +171,7 @@ def _train(run: _TaskRun, name: str, tasks: list[Experiment]) -> Experiment:
 
 def _evaluate(run: _TaskRun, tasks: list[Experiment]) -> Results:
     """Make the model of each task; score networks of all and of the other tasks on its slides."""
-    tested = _list_tested(run.source)
+    tested = _list_tasks_with_slides(run.source)
     joint = _train(run, JOINT, tasks)
     for task in tasks:
         run.run(task, ("evaluate", "report"), TRAINED)
