@@ -198,7 +198,8 @@ def _train(run: _Run, network: str) -> bool:
         examples.per_epoch,
     )
     digests = list_training_digests(experiment, network, start)
-    weights = _load_initial_weights(start) if start else None
+    count = examples.tasks if config.modality == "pins" else 0
+    weights = _load_initial_weights(start, count) if start else None
     provenance = Provenance(source.describe_origin(config), digests, weights)
     summary = train(task, training, training_data, seed, folder, provenance)
     loss = "unknown" if summary.best_loss is None else f"{summary.best_loss:.5f}"
@@ -210,11 +211,14 @@ def _train(run: _Run, network: str) -> bool:
     return True
 
 
-def _load_initial_weights(folder: Path) -> InitialWeights:
+def _load_initial_weights(folder: Path, tasks: int) -> InitialWeights:
+    """Load weights to start from, of one task; with several `tasks` they serve all alike."""
+    from jaxunshear.models.pin_networks import unfold_tasks
     from jaxunshear.training.checkpoint import compute_weights_digest, load_network
 
     weights = load_network(folder).variables
-    return InitialWeights(weights, compute_weights_digest(weights))
+    digest = compute_weights_digest(weights)
+    return InitialWeights(unfold_tasks(weights, tasks) if tasks > 1 else weights, digest)
 
 
 def _can_continue(run: _Run, stage: str) -> bool:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple, cast
 
 from jaxunshear.cluster import CallRunner, run_locally
-from jaxunshear.config.data import JOINT, Recorded, RecordedTasks
+from jaxunshear.config.data import JOINT, TASK_FOLDERS, Recorded, RecordedTasks
 from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.network_config import (
     list_required_networks,
@@ -40,7 +40,7 @@ from jaxunshear.training.checkpoint import TASK_SHARES, move_network, read_targe
 from jaxunshear.training.examples import FRAME
 from jaxunshear.training.provenance import list_training_digests
 
-TRAINED, OTHERS, TAPS_ALONE = "trained", "others", "taps_alone"  # in the folder of a run
+_, TRAINED, OTHERS, TAPS_ALONE = TASK_FOLDERS  # in the folder of a run
 UNSHEARED = "unsheared"
 # kinds of the joint table: by the folder of the run that they come from, their kinds there
 ROWS = {
@@ -96,25 +96,25 @@ def run_tasks(
     return results
 
 
-def score_taps_alone(run_dir: Path, data: Path, command: str) -> dict[str, Results]:
+def score_taps_alone(run_dir: Path, data: Path, command: str) -> None:
     """Score, of each task of a finished run, a network that has seen no slide of it.
 
     It learns from the slides of the other tasks, and from the taps of this one with slides that are
-    transferred to them. Raises UserError.
+    transferred to them. Results are in RUN/taps_alone/<task>. Raises UserError.
     """
     source = open_source(load_settings(run_dir))
-    assert isinstance(source, TaskSource)
+    if not isinstance(source, TaskSource) or not uses_pins(source.experiment):
+        raise UserError(f"{run_dir} is not about several tasks over pins: name a run that is")
+    tested = _list_tasks_with_slides(source)
+    if len(tested) < 2:
+        raise UserError(f"{run_dir} has one task with slides: name a run that has two or more")
     run = _TaskRun(source.experiment, source, run_dir, data, command, run_locally)
-    results = {}
-    for task in _list_tasks_with_slides(source):
+    for task in tested:
+        open_source(task).make_sets(data)
         alone = replace(task, paired=replace(cast(Recorded, task.paired), slide_folder=""))
-        open_source(alone).make_sets(data)
         parts = [alone if part.name == task.name else part for part in source.list_parts()]
         learnt = _train(run, f"taps_of_{task.name}", parts)
         _assemble(run, task, learnt, TAPS_ALONE)
-        path = run_dir / TAPS_ALONE / task.name / "results.json"
-        results[task.name] = read_record(path, Results, EVALUATE_REMEDY)
-    return results
 
 
 def find_task(run_dir: Path, recordings: Path) -> Path:
@@ -235,7 +235,9 @@ def _collect(run: _TaskRun, tasks: list[Experiment]) -> Results:
         contacts = scores.counts.test_poses or 0
         tests[task.name] = FurtherTest(pose_mae=pose_mae, spread=spread, contacts=contacts)
         targets |= {target.name: target for target in scores.targets or ()}
-        shift = align_frames(run.read_frame(task), run.read_frame(tasks[0]))
+    taught = run.source.list_taught_parts()
+    for task in taught:
+        shift = align_frames(run.read_frame(task), run.read_frame(taught[0]))
         frames[task.name] = TaskFrame(shift.shift.tolist(), shift.left_px)
     return Results(
         experiment=run.experiment.name,

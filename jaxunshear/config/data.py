@@ -1,5 +1,6 @@
 """Settings of data sources: the two simulated data sets, and recordings."""
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -183,6 +184,7 @@ class PoseData(SimulatedData):
 
 
 JOINT = "joint"  # the training of a network on all tasks, beside those of each
+TASK_FOLDERS = (JOINT, "trained", "others", "taps_alone")  # that a run has beside those of tasks
 # pairings that need a renderer; "simulated" for test slides alone
 RENDERED_PAIRINGS = ("rendered", "simulated")
 
@@ -302,15 +304,21 @@ class RecordedTasks(SourceSettings):
         return self.tasks[0].preprocess if self.tasks else Preprocess()
 
     def _name_folders(self) -> tuple[str, ...]:
-        folders = [Path(task.tap_folder or task.slide_folder).name for task in self.tasks]
-        counts = Counter([*folders, JOINT])
+        paths = [Path(task.tap_folder or task.slide_folder) for task in self.tasks]
+        folders = [re.sub(r"[^\w.-]", "_", path.name) for path in paths]
+        counts = Counter([*folders, *TASK_FOLDERS])
         return tuple(
             f"{name}_{i + 1}" if counts[name] > 1 else name for i, name in enumerate(folders)
         )
 
     def find_problems(self) -> Iterator[Problem]:
-        if len({*self.names, JOINT}) <= len(self.tasks) or len(self.names) != len(self.tasks):
-            yield "names", f"give each task a name of its own, other than {JOINT}"
+        if len({*self.names, *TASK_FOLDERS}) < len(self.tasks) + len(TASK_FOLDERS):
+            words = ", ".join(TASK_FOLDERS)
+            yield "names", f"give each task a name of its own, and none of {words}"
+        if bad := [name for name in self.names if not re.fullmatch(r"\w[\w.-]*", name)]:
+            yield "names", f"'{bad[0]}' names a folder: use letters, digits, '-', '_' and '.'"
+        if any(not task.tap_folder for task in self.tasks):
+            yield "tasks", "record taps of each task: PoseNets and partners of slides need them"
         if len(self.tasks) < 2:
             yield "tasks", "name two folders of recordings or more: --recordings DIR DIR"
         if len({task.digest for task in self.tasks}) < len(self.tasks):

@@ -156,8 +156,8 @@ class RecordedSet:
             render: Renders the partners of "rendered", and of test slides of "simulated".
             images: Without them partners are pins alone.
             estimate: Gives training slides without a label a pose; without it they are left out.
-            simulate: For "simulated", all slides but the test's are simulated, each paired with the
-                tap it was made from.
+            simulate: Gives slides to the taps of all splits but the test, as for "simulated"; each
+                is paired with its tap.
         """
         method = self.settings.pairing
 

@@ -17,7 +17,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from jaxunshear.config.data import Recorded, RecordedTasks
-from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.network_config import NetworkConfig
 from jaxunshear.config.networks import POSENET, POSENET_SHEARED, select_networks
 from jaxunshear.config.targets import (
@@ -85,8 +85,13 @@ class TaskSource(DataSource):
         return parts
 
     def list_taught_parts(self) -> list[Experiment]:
-        """List the experiments of the tasks that the joint network learns: all that have taps."""
-        return [part for part in self.list_parts() if cast(Recorded, part.paired).tap_folder]
+        """List the experiments of the tasks that the joint network learns.
+
+        These are all over pins. Over images a task without slides is left out.
+        """
+        if uses_pins(self.experiment):
+            return self.list_parts()
+        return [part for part in self.list_parts() if cast(Recorded, part.paired).slide_folder]
 
     def list_test_digests(self) -> set[str]:
         return set().union(*(source.list_test_digests() for source in self._list_sources()))
@@ -145,7 +150,7 @@ def _open_readers(
 ) -> tuple[list[Reader], dict[int, SlideTransfer]]:
     """Open the pairs of each task; taps of a task without slides get those of the others.
 
-    Also return how, by the number of the task, in the frame of all.
+    Also return the transfers by task, for pins in the frame of the first.
     """
     recorded = {
         task.part.name: RecordedSource(task.part).open_pairs(

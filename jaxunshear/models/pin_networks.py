@@ -222,7 +222,7 @@ def move_frame(variables: Variables, shift: ArrayLike) -> Variables:
 
 
 def tell_tasks(variables: Variables, shares: Float[Array, "B T"]) -> Variables:
-    """Tell a network of several tasks which task each contact of a batch is of: 1, and 0 else."""
+    """Tell a network of several tasks of which each contact is: 1 for its task, 0 for others."""
     return variables | {"batch_stats": variables["batch_stats"] | {"tasks": shares}}
 
 
@@ -237,7 +237,7 @@ def fold_tasks(variables: Variables, shares: ArrayLike | None = None) -> Variabl
     if unknown is None:
         return variables
     weights = unknown if shares is None else jnp.asarray(shares, jnp.float32)
-    name = "Conv_0" if "Conv_0" in params["E"] else "Dense_0"
+    name = _find_first_layer(variables)
     layer = params["E"][name]
     kernel, tasks = jnp.split(layer["kernel"], [layer["kernel"].shape[-2] - len(weights)], axis=-2)
     told = jnp.einsum("t,...tc->...c", weights, tasks)
@@ -247,6 +247,21 @@ def fold_tasks(variables: Variables, shares: ArrayLike | None = None) -> Variabl
         layer = layer | {"kernel": kernel, "bias": layer["bias"] + told}
     folded = params | {"E": params["E"] | {name: layer}}
     return variables | {"params": folded, "batch_stats": constants}
+
+
+def unfold_tasks(variables: Variables, count: int) -> Variables:
+    """Turn a network of one task into one of `count` tasks that does not yet tell them apart."""
+    params, name = variables["params"], _find_first_layer(variables)
+    layer = params["E"][name]
+    kernel = layer["kernel"]
+    zeros = jnp.zeros((*kernel.shape[:-2], count, kernel.shape[-1]), kernel.dtype)
+    layer = layer | {"kernel": jnp.concatenate([kernel, zeros], axis=-2)}
+    constants = variables["batch_stats"] | {"tasks": jnp.full(count, 1 / count, jnp.float32)}
+    return {"params": params | {"E": params["E"] | {name: layer}}, "batch_stats": constants}
+
+
+def _find_first_layer(variables: Variables) -> str:
+    return "Conv_0" if "Conv_0" in variables["params"]["E"] else "Dense_0"
 
 
 def add_noise(net: PinNet, pins: Pins, key: Array) -> Pins:

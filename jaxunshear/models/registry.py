@@ -32,7 +32,7 @@ class InitFacts(NamedTuple):
     rest: ArrayLike = np.zeros((0, 2), np.float32)  # (P, 2) px: the untouched pins
     spread: float | Array = 1.0  # how far pins move, root mean square in px
     grid: ArrayLike | None = None  # the weights of `make_grid`, which takes seconds, if known
-    tasks: ArrayLike | None = None  # (T,) what is assumed of an unknown task, of a network of many
+    tasks: ArrayLike | None = None  # (T,) shares of several tasks that stand for an unknown one
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from jaxunshear.models.weights import Net, Variables, list_leaves
 State = TypeVar("State")
 MODEL, SUMMARY = "model.json", "summary.json"
 WEIGHTS, DIGEST, FILES = "weights.npz", "digest", "files"
-FRAME_SHIFT, TASK_SHARES = "frame_shift", "task_shares"  # in model.json: of the pins to be read
+FRAME_SHIFT, TASK_SHARES = "frame_shift", "task_shares"  # in model.json: of the contacts to read
 
 
 def save(folder: Path, step: int, state: object, record: Json) -> None:

@@ -109,8 +109,8 @@ def tell_tasks(task: Task, count: int) -> Task:
         return pin_networks.tell_tasks(variables, jax.nn.one_hot(batch["stimulus"], count))
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
-        values, _ = task.terms(tell(variables, batch), batch, key)
-        return values, variables["batch_stats"]  # not those that were told
+        values, statistics = task.terms(tell(variables, batch), batch, key)
+        return values, statistics | {"tasks": variables["batch_stats"]["tasks"]}
 
     def validate(variables: Tree, batch: Batch) -> Terms:
         return task.validate(tell(variables, batch), batch)

@@ -110,11 +110,23 @@ def test_problems_of_tasks_are_named(digests, remedy):
     assert remedy in problems["paired.tasks"]
 
 
-@pytest.mark.parametrize("names", [("one",), ("one", "one"), ("one", "joint")])
+@pytest.mark.parametrize("names", [("one",), ("one", "one"), ("one", "joint"), ("others", "one")])
 def test_tasks_need_names_of_their_own(names):
     tasks = RecordedTasks((Recorded("a", "a", digest="a"), Recorded("b", "b", digest="b")), names)
     problems = dict(find_experiment_problems(Experiment("lab", "", paired=tasks)))
     assert "a name of its own" in problems["paired.names"]
+
+
+def test_odd_names_and_slides_without_taps_are_refused():
+    parts = Recorded("a", "a", digest="a"), Recorded("", "b", digest="b")
+    tasks = RecordedTasks(parts, ("../a", "b"))
+    problems = dict(find_experiment_problems(Experiment("lab", "", paired=tasks)))
+    assert "names a folder" in problems["paired.names"]
+    assert "record taps of each task" in problems["paired.tasks"]
+    assert RecordedTasks((Recorded("x/my edge"), Recorded("x/others"))).names == (
+        "my_edge",
+        "others_2",
+    )
 
 
 def test_simulated_contacts_have_no_parts():

@@ -22,6 +22,7 @@ from jaxunshear.models.pin_networks import (
     reconstruct,
     render_pins,
     tell_tasks,
+    unfold_tasks,
     unshear,
 )
 from jaxunshear.models.reconstruction import measure_disagreement
@@ -259,6 +260,10 @@ def test_a_network_of_several_tasks_folds_into_one_of_a_task(changes):
     assert np.abs(told - unshear(net, variables, pins)).max() > 1e-3
     alone = init(net, REST, 1.5, jax.random.key(0))
     assert jax.tree.map(jnp.shape, folded) == jax.tree.map(jnp.shape, alone)
+    unfolded = unfold_tasks(folded, 3)
+    assert jax.tree.map(jnp.shape, unfolded) == jax.tree.map(jnp.shape, variables)
+    again = unshear(net, tell_tasks(unfolded, jnp.eye(3)), pins)
+    np.testing.assert_allclose(again, told, rtol=1e-5, atol=1e-4)
 
 
 def test_each_contact_of_a_batch_is_of_its_own_task():
