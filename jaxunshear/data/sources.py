@@ -64,7 +64,7 @@ class Examples(NamedTuple):
     taps: "Reader | None" = None  # recorded ones with labels, if there are any
     slide_targets: Targets = ()  # what varies between the slides of the data
     load_teachers: tuple[Callable[[], Teacher], ...] = ()  # of the parts, if the source has some
-    tasks: int = 0  # that `stimulus` numbers, and a network over pins is told
+    tasks: int = 0  # that `stimulus` numbers, and a network over pins is given
 
 
 class Helpers(Protocol):

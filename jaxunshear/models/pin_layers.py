@@ -29,8 +29,8 @@ class GridTrunk(nn.Module):
         grid_motions = jnp.einsum("bpi,pg->bgi", motions.reshape(count, -1, 2), grid)
         is_inside = jnp.any(grid != 0, axis=0).astype(grid_motions.dtype)
         is_inside = jnp.broadcast_to(is_inside[None, :, None], (count, len(is_inside), 1))
-        told = [is_inside * shares[:, None] for shares in tasks]
-        x = jnp.concatenate([grid_motions, is_inside, *told], -1).reshape(count, side, side, -1)
+        masks = [is_inside * shares[:, None] for shares in tasks]
+        x = jnp.concatenate([grid_motions, is_inside, *masks], -1).reshape(count, side, side, -1)
         convolution = layer_choice.pick_layer(PLAIN_CONVOLUTION, FAST_CONVOLUTION)
         for number, channels in enumerate(self.net.conv_channels):
             stride = 2 if number else 1

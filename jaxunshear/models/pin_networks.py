@@ -11,7 +11,7 @@ carry, as is the square grid on which the motions of pins are interpolated for c
 neighbouring pins move alike, which dense layers have to learn.
 
 A network that learns several tasks takes the shares of the tasks as a further input, see
-`tell_tasks`: a flat surface that is tilted moves pins much as the side of an edge does.
+`give_tasks`: a flat surface that is tilted moves pins much as the side of an edge does.
 """
 
 from collections.abc import Callable
@@ -221,8 +221,8 @@ def move_frame(variables: Variables, shift: ArrayLike) -> Variables:
     return variables | {"batch_stats": constants | {"rest": moved}}
 
 
-def tell_tasks(variables: Variables, shares: Float[Array, "B T"]) -> Variables:
-    """Tell a network of several tasks of which each contact is: 1 for its task, 0 for others."""
+def give_tasks(variables: Variables, shares: Float[Array, "B T"]) -> Variables:
+    """Give a network of several tasks the task of each contact: 1 for it, 0 for others."""
     return variables | {"batch_stats": variables["batch_stats"] | {"tasks": shares}}
 
 
@@ -240,17 +240,17 @@ def fold_tasks(variables: Variables, shares: ArrayLike | None = None) -> Variabl
     name = _find_first_layer(variables)
     layer = params["E"][name]
     kernel, tasks = jnp.split(layer["kernel"], [layer["kernel"].shape[-2] - len(weights)], axis=-2)
-    told = jnp.einsum("t,...tc->...c", weights, tasks)
-    if name == "Conv_0":  # the last channel before is 1 on the skin, as that of the told task
-        layer = layer | {"kernel": kernel.at[..., -1, :].add(told)}
+    added = jnp.einsum("t,...tc->...c", weights, tasks)
+    if name == "Conv_0":  # the last channel before is 1 on the skin, as that of the given task
+        layer = layer | {"kernel": kernel.at[..., -1, :].add(added)}
     else:
-        layer = layer | {"kernel": kernel, "bias": layer["bias"] + told}
+        layer = layer | {"kernel": kernel, "bias": layer["bias"] + added}
     folded = params | {"E": params["E"] | {name: layer}}
     return variables | {"params": folded, "batch_stats": constants}
 
 
 def unfold_tasks(variables: Variables, count: int) -> Variables:
-    """Turn a network of one task into one of `count` tasks that does not yet tell them apart."""
+    """Turn a network of one task into one of `count` tasks that serves all of them alike."""
     params, name = variables["params"], _find_first_layer(variables)
     layer = params["E"][name]
     kernel = layer["kernel"]

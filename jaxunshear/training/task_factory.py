@@ -73,7 +73,7 @@ def make_task(
         supervision = _supervise(net, training, examples, load_teacher)
         task = tasks.make_unshear_task(net, training, supervision, facts)
         if facts.tasks is not None:
-            task = tasks.tell_tasks(task, examples.tasks)
+            task = tasks.give_tasks(task, examples.tasks)
         pairs = examples.reader.length("train")
         if pairs < training.rotated_below:
             share = MAX_ROTATED * (1 - pairs / training.rotated_below)

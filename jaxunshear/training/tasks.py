@@ -102,18 +102,18 @@ def make_unshear_task(
     return replace(task, slide_targets=supervision.slides)
 
 
-def tell_tasks(task: Task, count: int) -> Task:
-    """Tell a network over pins which of `count` tasks each contact is of, by its `stimulus`."""
+def give_tasks(task: Task, count: int) -> Task:
+    """Give a network over pins the task, of `count`, of each contact, by its `stimulus`."""
 
-    def tell(variables: Tree, batch: Batch) -> Tree:
-        return pin_networks.tell_tasks(variables, jax.nn.one_hot(batch["stimulus"], count))
+    def give(variables: Tree, batch: Batch) -> Tree:
+        return pin_networks.give_tasks(variables, jax.nn.one_hot(batch["stimulus"], count))
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
-        values, statistics = task.terms(tell(variables, batch), batch, key)
+        values, statistics = task.terms(give(variables, batch), batch, key)
         return values, statistics | {"tasks": variables["batch_stats"]["tasks"]}
 
     def validate(variables: Tree, batch: Batch) -> Terms:
-        return task.validate(tell(variables, batch), batch)
+        return task.validate(give(variables, batch), batch)
 
     return replace(task, terms=terms, validate=validate)
 

@@ -16,12 +16,12 @@ from jaxunshear.models.pin_networks import (
     decode_sheared,
     encode,
     fold_tasks,
+    give_tasks,
     init,
     make_grid,
     predict,
     reconstruct,
     render_pins,
-    tell_tasks,
     unfold_tasks,
     unshear,
 )
@@ -248,29 +248,29 @@ def test_a_network_of_several_tasks_folds_into_one_of_a_task(changes):
     unknown = jnp.full(3, 1 / 3)
     variables = init(net, REST, 1.5, jax.random.key(0), tasks=unknown)
     pins, second = moved(), jnp.array([0.0, 1.0, 0.0])
-    told = unshear(net, tell_tasks(variables, jnp.tile(second, (3, 1))), pins)
+    given = unshear(net, give_tasks(variables, jnp.tile(second, (3, 1))), pins)
     folded = fold_tasks(variables, second)
-    np.testing.assert_allclose(unshear(net, folded, pins), told, rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(unshear(net, folded, pins), given, rtol=1e-5, atol=1e-4)
     np.testing.assert_allclose(
         unshear(net, fold_tasks(variables), pins),
         unshear(net, variables, pins),
         rtol=1e-5,
         atol=1e-4,
     )
-    assert np.abs(told - unshear(net, variables, pins)).max() > 1e-3
+    assert np.abs(given - unshear(net, variables, pins)).max() > 1e-3
     alone = init(net, REST, 1.5, jax.random.key(0))
     assert jax.tree.map(jnp.shape, folded) == jax.tree.map(jnp.shape, alone)
     unfolded = unfold_tasks(folded, 3)
     assert jax.tree.map(jnp.shape, unfolded) == jax.tree.map(jnp.shape, variables)
-    again = unshear(net, tell_tasks(unfolded, jnp.eye(3)), pins)
-    np.testing.assert_allclose(again, told, rtol=1e-5, atol=1e-4)
+    again = unshear(net, give_tasks(unfolded, jnp.eye(3)), pins)
+    np.testing.assert_allclose(again, given, rtol=1e-5, atol=1e-4)
 
 
 def test_each_contact_of_a_batch_is_of_its_own_task():
     net = PinUnshear(**SMALL, conv_channels=(4, 6))
     variables = init(net, REST, 1.5, jax.random.key(0), tasks=jnp.full(3, 1 / 3))
     shares, pins = jnp.eye(3), moved()
-    together = unshear(net, tell_tasks(variables, shares), pins)
+    together = unshear(net, give_tasks(variables, shares), pins)
     for i in range(3):
         alone = unshear(net, fold_tasks(variables, shares[i]), pins[i : i + 1])[0]
         np.testing.assert_allclose(together[i], alone, rtol=1e-5, atol=1e-4)

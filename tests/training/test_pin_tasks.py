@@ -17,11 +17,11 @@ from jaxunshear.training.examples import ANOTHER, ONE, TAPS
 from jaxunshear.training.tasks import (
     PinAugmentation,
     Supervision,
+    give_tasks,
     make_posenet_task,
     make_renderer_task,
     make_unshear_task,
     rotate_pairs,
-    tell_tasks,
 )
 from tests.helpers.gradients import list_taught_parts
 from tests.helpers.network_parts import find_taught_parts
@@ -240,7 +240,7 @@ def test_a_teacher_asks_for_the_true_pose_or_the_partners(loss):
 def test_contacts_of_a_task_teach_what_is_told_of_it_and_nothing_of_others(conv_channels):
     net = PinUnshear(**SMALL, conv_channels=conv_channels)
     facts = FACTS._replace(tasks=np.full(2, 0.5, np.float32))
-    task = tell_tasks(make_unshear_task(net, PAIRS, facts=facts), 2)
+    task = give_tasks(make_unshear_task(net, PAIRS, facts=facts), 2)
     variables = task.init(KEY)
     pairs = batch() | {"stimulus": np.ones(6, np.int32)}
     layer = "Conv_0" if conv_channels else "Dense_0"
