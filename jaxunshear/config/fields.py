@@ -43,7 +43,7 @@ USUAL_NAMES = {
     **dict.fromkeys(("mu", "friction_coefficient"), "friction"),
 }
 # they name settings, folders or what is in a layout file, and set none
-NOT_SETTABLE = ("config", "digest", "tasks", "markers", "dark")
+NOT_SETTABLE = ("config", "digest", "tasks", "names", "markers", "dark")
 
 
 def override_fields(experiment: Experiment, argv: Sequence[str]) -> Experiment:
