@@ -27,7 +27,7 @@ COMPUTING = frozenset(
 )
 PROGRAMS = {  # the modules that a command starts from
     "run": ("run",),
-    "fit": ("run",),
+    "fit": ("run", "task_run", "data.task_source"),
     "sweep": ("sweep.run", "sweep.worker"),
     "evaluate": ("run", "evaluation.recorded_evaluation", "evaluation.sim_to_real"),
     "ablate": ("evaluation.code_swaps", "evaluation.leakage"),

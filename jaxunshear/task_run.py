@@ -105,7 +105,7 @@ def score_taps_alone(run_dir: Path, data: Path, command: str) -> None:
     source = open_source(load_settings(run_dir))
     if not isinstance(source, TaskSource) or not uses_pins(source.experiment):
         raise UserError(f"{run_dir} is not about several tasks over pins: name a run that is")
-    tested = _list_tasks_with_slides(source)
+    tested = source.list_parts_with_slides()
     if len(tested) < 2:
         raise UserError(f"{run_dir} has one task with slides: name a run that has two or more")
     run = _TaskRun(source.experiment, source, run_dir, data, command, run_locally)
@@ -147,13 +147,9 @@ def _list_networks(experiment: Experiment, task: Experiment) -> tuple[str, ...]:
     """List the networks to train of a task, with a teacher of the joint network."""
     names = task.networks
     trainings = [resolve_network(experiment, name).training for name in experiment.networks]
-    if cast(Recorded, task.paired).tap_folder and any(map(uses_teacher, trainings)):
+    if any(map(uses_teacher, trainings)):
         names = (TEACHER, *names)
     return list_required_networks(*(resolve_network(task, name) for name in names))
-
-
-def _list_tasks_with_slides(source: TaskSource) -> list[Experiment]:
-    return [part for part in source.list_parts() if cast(Recorded, part.paired).slide_folder]
 
 
 def _train(run: _TaskRun, name: str, tasks: list[Experiment]) -> Experiment:
@@ -171,7 +167,7 @@ def _train(run: _TaskRun, name: str, tasks: list[Experiment]) -> Experiment:
 
 def _evaluate(run: _TaskRun, tasks: list[Experiment]) -> Results:
     """Make the model of each task; score networks of all and of the other tasks on its slides."""
-    tested = _list_tasks_with_slides(run.source)
+    tested = run.source.list_parts_with_slides()
     joint = _train(run, JOINT, tasks)
     for task in tasks:
         run.run(task, ("evaluate", "report"), TRAINED)
@@ -209,8 +205,8 @@ def _assemble(run: _TaskRun, task: Experiment, learnt: Experiment, place: str) -
     for name in joined:
         origin = open_source(experiment).describe_origin(resolve_network(experiment, name))
         changes: Json = {"origin": origin, "data": list_training_digests(learnt, name, None)}
-        if task.name in (names := [part.name for part in taught]):
-            changes[TASK_SHARES] = [float(each == task.name) for each in names]
+        if any(shares := [float(part.name == task.name) for part in taught]):
+            changes[TASK_SHARES] = shares
         trained = run.folder / TRAINED / learnt.name / name
         move_network(trained, target / name, changes, shift if uses_pins(task) else [])
     run.run(experiment, ("evaluate", "report"), place)

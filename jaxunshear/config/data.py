@@ -184,7 +184,7 @@ class PoseData(SimulatedData):
 
 
 JOINT = "joint"  # the training of a network on all tasks, beside those of each
-TASK_FOLDERS = (JOINT, "trained", "others", "taps_alone")  # that a run has beside those of tasks
+TASK_FOLDERS = (JOINT, "trained", "others", "taps_alone")  # in a run, beside one for each task
 # pairings that need a renderer; "simulated" for test slides alone
 RENDERED_PAIRINGS = ("rendered", "simulated")
 

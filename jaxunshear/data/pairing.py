@@ -19,6 +19,7 @@ from jaxunshear.config.targets import RECORDED_FIELDS, Targets
 from jaxunshear.data.chunks import unpack_bits
 from jaxunshear.data.reader import Batch
 from jaxunshear.data.recorded_contacts import RecordedContacts
+from jaxunshear.triangles import find_corners
 
 # Of the pins' spacing: how far beyond the outermost pins an image moves with them.
 MAX_OUTSIDE_SPACINGS = 0.75
@@ -180,14 +181,7 @@ def _interpolate_over_pixels(
     """Find the pins (S S, 3) whose motions give a pixel's, and their weights."""
     grid = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1)
     pixels = grid.reshape(-1, 2).astype(float)
-    mesh = Delaunay(rest)
-    triangle = mesh.find_simplex(pixels)
-    pins = mesh.simplices[triangle]
-    to_barycentric, origin = mesh.transform[triangle, :2], mesh.transform[triangle, 2]
-    first = np.einsum("nij,nj->ni", to_barycentric, pixels - origin)
-    weights = np.column_stack([first, 1 - first.sum(axis=1)])
-    distance, nearest_pin = cKDTree(rest).query(pixels)
-    outside = triangle < 0
-    pins[outside], weights[outside] = nearest_pin[outside, None], (1.0, 0.0, 0.0)
-    weights[outside & (distance > MAX_OUTSIDE_SPACINGS * spacing_px)] = 0
+    pins, weights, is_outside = find_corners(Delaunay(rest), pixels)
+    distance, _ = cKDTree(rest).query(pixels)
+    weights[is_outside & (distance > MAX_OUTSIDE_SPACINGS * spacing_px)] = 0
     return pins, weights.astype(np.float32)

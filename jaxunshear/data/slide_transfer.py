@@ -18,6 +18,7 @@ from scipy.spatial import Delaunay
 from jaxunshear.data.reader import Batch, DrawnRows, Reader
 from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.errors import UserError
+from jaxunshear.triangles import find_corners
 
 FACTOR = (0.15, 2.5)  # of a motion; drawn evenly in its logarithm
 
@@ -34,10 +35,10 @@ def make_slide_transfer(
     It raises UserError if there are none.
 
     Args:
-        rest: the untouched pins of the taps, px.
+        rest: the untouched pins of the taps, px; taps of a moved frame may be given, too.
         is_placed: whether the object of the taps is at a place; else it extends under all the skin.
     """
-    triangles = Delaunay(rest) if is_placed else None
+    mesh = Delaunay(rest) if is_placed else None
 
     @cache
     def read_motions(split: str) -> np.ndarray:
@@ -53,8 +54,8 @@ def make_slide_transfer(
         motions, (low, high) = read_motions(split), np.log(FACTOR)
         drawn = generator.integers(len(motions), size=len(taps))
         motion = np.exp(generator.uniform(low, high, (len(taps), 1, 1))) * motions[drawn]
-        shown = taps if triangles is None else rest + _show_motions(triangles, taps - rest, motion)
-        return (shown + motion).astype(np.float32)
+        slides = taps + motion if mesh is None else _move_past(mesh, taps, motion)
+        return slides.astype(np.float32)
 
     return move
 
@@ -91,27 +92,20 @@ class TransferReader(Reader):
         return batch
 
 
-def _show_motions(
-    triangles: Delaunay, motion: Float[np.ndarray, "N P 2"], slide: Float[np.ndarray, "N P 2"]
+def _move_past(
+    mesh: Delaunay, taps: Float[np.ndarray, "N P 2"], motion: Float[np.ndarray, "N P 2"]
 ) -> Float[np.ndarray, "N P 2"]:
-    """Interpolate the motions in taps at pins that a slide has moved.
+    """Move pins past an object that stays: each shows what pins of the tap show where it gets to.
 
-    Beyond the rim, and between pins none of which is seen, a pin keeps its motion.
+    Beyond the rim and beside missing pins, a pin takes what it shows with it.
     """
-    places = (triangles.points + slide).reshape(-1, 2)
-    found = triangles.find_simplex(places)
-    corners = triangles.simplices[found]
-    transform = triangles.transform[found]
-    first_two = np.einsum("nij,nj->ni", transform[:, :2], places - transform[:, 2])
-    weights = np.concatenate([first_two, 1 - first_two.sum(axis=1, keepdims=True)], axis=1)
-    tap = np.repeat(np.arange(len(motion)), motion.shape[1])
-    between = motion[tap[:, None], corners]
-    weights = np.where(np.isfinite(between).all(axis=-1), weights, 0)
-    total = weights.sum(axis=1, keepdims=True)
-    is_inside = (found >= 0)[:, None] & (total > 0)
-    shown = np.einsum("nc,nci->ni", weights, np.nan_to_num(between)) / np.where(total > 0, total, 1)
-    shown = np.where(is_inside, shown, motion.reshape(-1, 2))
-    return np.where(np.isfinite(motion), shown.reshape(motion.shape), np.nan)
+    slides, places = taps + motion, (mesh.points + motion).reshape(-1, 2)
+    corners, weights, is_outside = find_corners(mesh, places)
+    tap = np.arange(len(taps)).repeat(taps.shape[1])
+    shown = np.einsum("nc,nci->ni", weights, taps[tap[:, None], corners])
+    shown[is_outside] = np.nan
+    shown = shown.reshape(taps.shape)
+    return np.where(np.isfinite(slides + shown), shown, slides)
 
 
 def _read_motions(reader: Reader, split: str) -> Float[np.ndarray, "N P 2"]:

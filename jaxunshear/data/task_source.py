@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -78,9 +77,8 @@ class TaskSource(DataSource):
         settings: RecordedTasks = self.settings
         parts = []
         for part, task in zip(settings.names, settings.tasks, strict=True):
-            has_taps, has_slides = bool(task.tap_folder), bool(task.slide_folder)
             names = (*self.experiment.networks, POSENET, POSENET_SHEARED)
-            networks = select_networks(names, has_taps, has_slides)
+            networks = select_networks(names, taps=True, slides=bool(task.slide_folder))
             parts.append(replace(self.experiment, name=part, paired=task, networks=networks))
         return parts
 
@@ -89,8 +87,9 @@ class TaskSource(DataSource):
 
         These are all over pins. Over images a task without slides is left out.
         """
-        if uses_pins(self.experiment):
-            return self.list_parts()
+        return self.list_parts() if uses_pins(self.experiment) else self.list_parts_with_slides()
+
+    def list_parts_with_slides(self) -> list[Experiment]:
         return [part for part in self.list_parts() if cast(Recorded, part.paired).slide_folder]
 
     def list_test_digests(self) -> set[str]:
@@ -116,7 +115,7 @@ class TaskSource(DataSource):
         tasks = [_open_task(part, data_dir, helpers) for part in self.list_taught_parts()]
         frames = [task.stored.frame for task in tasks]
         shifts = [align_frames(frame, frames[0]) for frame in frames]
-        readers, transfers = _open_readers(tasks, shifts, config.modality == "images")
+        readers, transfers = _open_readers(tasks, config.modality == "images")
         reader = join_readers(readers, shifts, tasks[0].stored.size, transfers)
         load_teachers = [
             partial(task.helpers.load_teacher, shift.shift)
@@ -146,11 +145,11 @@ def _open_task(part: Experiment, data_dir: Path, helpers: Helpers) -> _OpenTask:
 
 
 def _open_readers(
-    tasks: Sequence[_OpenTask], shifts: Sequence[FrameShift], images: bool
+    tasks: Sequence[_OpenTask], images: bool
 ) -> tuple[list[Reader], dict[int, SlideTransfer]]:
-    """Open the pairs of each task; taps of a task without slides get those of the others.
+    """Open the pairs of each task; also return how tasks without slides get some, by their number.
 
-    Also return the transfers by task, for pins in the frame of the first.
+    Over images each task has slides.
     """
     recorded = {
         task.part.name: RecordedSource(task.part).open_pairs(
@@ -161,15 +160,15 @@ def _open_readers(
     }
     others = tuple(recorded.values())
     readers, transfers = [], {}
-    for number, (task, shift) in enumerate(zip(tasks, shifts, strict=True)):
+    for number, task in enumerate(tasks):
         if task.part.name in recorded:
             readers.append(recorded[task.part.name])
         else:
             rest = read_pin_layout(task.stored.frame).rest
             is_placed = not LATERAL.isdisjoint(list_target_names(task.targets))
-            give = partial(give_slides, task.stored, make_slide_transfer(others, rest, is_placed))
-            readers.append(task.stored.read_pairs(task.targets, images=images, simulate=give))
-            transfers[number] = make_slide_transfer(others, rest + shift.shift, is_placed)
+            transfer = transfers[number] = make_slide_transfer(others, rest, is_placed)
+            give = partial(give_slides, task.stored, transfer)
+            readers.append(task.stored.read_pairs(task.targets, images=False, simulate=give))
     return readers, transfers
 
 
@@ -177,7 +176,7 @@ def join_readers(
     readers: Sequence[Reader],
     shifts: Sequence[FrameShift],
     size: int,
-    transfers: Mapping[int, SlideTransfer] = MappingProxyType({}),
+    transfers: Mapping[int, SlideTransfer],
 ) -> Reader:
     """Join readers of pairs: `stimulus` is the task, and pins are in the frame of the first."""
 

@@ -241,7 +241,7 @@ def fold_tasks(variables: Variables, shares: ArrayLike | None = None) -> Variabl
     layer = params["E"][name]
     kernel, tasks = jnp.split(layer["kernel"], [layer["kernel"].shape[-2] - len(weights)], axis=-2)
     added = jnp.einsum("t,...tc->...c", weights, tasks)
-    if name == "Conv_0":  # the last channel before is 1 on the skin, as that of the given task
+    if name == "Conv_0":  # the channel before them is 1 on the skin, as a task's is
         layer = layer | {"kernel": kernel.at[..., -1, :].add(added)}
     else:
         layer = layer | {"kernel": kernel, "bias": layer["bias"] + added}

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import Delaunay
 
 from jaxunshear.config.sensor import Sensor, check_sensor, compute_max_contact_depth_mm
 from jaxunshear.errors import UserError
@@ -13,6 +13,7 @@ from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.paths import DEPTH, MIN_LEG_MM, TILT_X, Paths
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 from jaxunshear.simulator.scene import Scenes
+from jaxunshear.triangles import find_corners
 
 SAME_POINT = 1e-6  # mm or degrees by which a path may begin beside its skin
 
@@ -66,14 +67,7 @@ def _locate_pins(sensor: Sensor, outward: np.ndarray) -> tuple[np.ndarray, np.nd
     across = np.linalg.norm(outward[:, :2], axis=-1)
     arc = sensor.dome_radius_mm * np.arctan2(across, -outward[:, 2])
     flat = outward[:, :2] * (arc / np.maximum(across, 1e-12))[:, None]
-    mesh, pins = Delaunay(flat), compute_pin_lattice(sensor)
-    triangle = mesh.find_simplex(pins)
-    beyond = triangle < 0
-    transform = mesh.transform[triangle]
-    first = np.einsum("pij,pj->pi", transform[:, :2], pins - transform[:, 2])
-    corners, weights = mesh.simplices[triangle], np.column_stack([first, 1 - first.sum(axis=-1)])
-    corners[beyond] = cKDTree(flat).query(pins[beyond])[1][:, None]
-    weights[beyond] = [1, 0, 0]
+    corners, weights, _ = find_corners(Delaunay(flat), compute_pin_lattice(sensor))
     return corners, weights
 
 

@@ -48,7 +48,7 @@ def test_joined_pins_are_in_the_frame_of_the_first_task():
     frames = make_frame(), make_frame((0.7, -0.2))
     readers = [make_pairs(3, 1.0, 1), make_pairs(2, 2.0, 2)]
     shifts = [align_frames(frame, frames[0]) for frame in frames]
-    rows = join_readers(readers, shifts, 96).rows("train")
+    rows = join_readers(readers, shifts, 96, {}).rows("train")
     assert rows["stimulus"].tolist() == [0, 0, 0, 1, 1]
     own = readers[1].rows("train")["sheared_pins"]
     np.testing.assert_allclose(rows["sheared_pins"][3:], own - [0.7, -0.2], atol=1e-6)

@@ -68,12 +68,12 @@ def test_the_folder_of_a_task_is_a_model(run, folders):
         assert np.isfinite(list(poses["unsheared"].values())).all()
 
 
-def test_the_model_of_a_task_was_told_its_task(run):
+def test_the_model_of_a_task_was_given_its_task(run):
     stored = {name: run / name / "disentangled" for name in (*TARGETS, "lone")}
     shares = {name: read_object(path / MODEL).get(TASK_SHARES) for name, path in stored.items()}
     assert shares == {"edge": [1, 0, 0], "surface": [0, 1, 0], "lone": [0, 0, 1]}
     parts = [load_network(path).variables["params"]["E"]["Conv_0"] for path in stored.values()]
-    assert {each["kernel"].shape for each in parts} == {(3, 3, 3, 4)}  # those of one task
+    assert {each["kernel"].shape for each in parts} == {(3, 3, 3, 4)}  # without inputs of tasks
     kernels = [np.asarray(each["kernel"]) for each in parts]
     assert all(np.ptp(kernels, axis=0)[:, :, -1].max(axis=(0, 1)) > 1e-3)
     np.testing.assert_array_equal(np.ptp(kernels, axis=0)[:, :, :-1], 0)

@@ -237,7 +237,7 @@ def test_a_teacher_asks_for_the_true_pose_or_the_partners(loss):
 
 
 @pytest.mark.parametrize("conv_channels", [(), (4, 6)])
-def test_contacts_of_a_task_teach_what_is_told_of_it_and_nothing_of_others(conv_channels):
+def test_contacts_of_a_task_teach_its_own_weights_and_none_of_others(conv_channels):
     net = PinUnshear(**SMALL, conv_channels=conv_channels)
     facts = FACTS._replace(tasks=np.full(2, 0.5, np.float32))
     task = give_tasks(make_unshear_task(net, PAIRS, facts=facts), 2)
