@@ -16,12 +16,8 @@ import numpy as np
 
 from benchmarks.other_solvers import OTHER_SOLVERS
 from benchmarks.reference_pins import solve_reference_pins
-from jaxunshear.config.sensor import (
-    RING_MM,
-    TACTIP_331,
-    Sensor,
-    compute_ring_spacing,
-)
+from jaxunshear.config.contact_rings import RING_MM, compute_ring_spacing
+from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
 from jaxunshear.progress import Progress

@@ -37,7 +37,7 @@ def format_listing(catalogue: str) -> str:
     """Format one line for each sensor or stimulus."""
     lines = [
         f"{sensor.name:16} {sensor.pins} pins, {sensor.layout}, {sensor.pin_spacing_mm:g} mm "
-        f"apart; dome radius {sensor.dome_radius_mm:g} mm"
+        f"apart; {'pad' if sensor.is_flat else 'dome'} radius {sensor.radius_mm:g} mm"
         for sensor in SENSORS.values()
     ]
     if catalogue == "stimuli":
@@ -65,7 +65,7 @@ def draw(catalogue: str, name: str, out: Path) -> None:
 
 
 def _draw_sensor(axes: Axes, sensor: Sensor) -> None:
-    axes.add_patch(Circle((0, 0), sensor.dome_radius_mm, fill=False, color="0.5"))
+    axes.add_patch(Circle((0, 0), sensor.radius_mm, fill=False, color="0.5"))
     for x, y, _ in compute_pin_tips(sensor):
         axes.add_patch(Circle((x, y), sensor.pin_radius_mm, color="black"))
     axes.autoscale_view()

@@ -32,10 +32,10 @@ def solve_with_duplicates(
     w = full.w[np.ix_(columns, columns)] / scale
     inverse = np.linalg.inv(w + RHO * np.eye(len(w)))
     poses, _ = cut_increments(
-        Paths(np.zeros(1, int), np.array([friction]), points[None]), level, sensor.dome_radius_mm
+        Paths(np.zeros(1, int), np.array([friction]), points[None]), level, sensor.radius_mm
     )
     with jax.enable_x64(level.precision == "float64"):
-        fields = (w, inverse, w, full.nodes[index], sensor.dome_radius_mm)
+        fields = (w, inverse, w, full.nodes[index], sensor.dome_radius_mm, sensor.radius_mm)
         system = System(*(jnp.asarray(field, level.precision) for field in fields))
         path = jnp.asarray(poses[0, :, None], level.precision)
         mu = jnp.asarray([friction], level.precision)

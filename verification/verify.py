@@ -16,6 +16,7 @@ import numpy as np
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.progress import Progress
 from verification import (
+    elastic_layer,
     elements,
     full_dome,
     invariants,
@@ -113,6 +114,7 @@ _CHECKS: tuple[Check, ...] = (
     *map(_on_half_space, _LAWS),
     invariants.check_scaling,
     *map(_on_dome, _DOME),
+    elastic_layer.check_layer,
     report_large_strain,
 )
 CHECKS = {  # by names such as normal_contact.check_hertz

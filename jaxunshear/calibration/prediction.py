@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.calibration.labels import EDGE_STIMULUS, LabelledMotions, make_paths
+from jaxunshear.config.contact_rings import compute_max_depth_mm
 from jaxunshear.config.sensor import (
     FITTED_CAMERA,
     FITTED_FRICTION,
@@ -23,7 +24,6 @@ from jaxunshear.config.sensor import (
     Camera,
     Sensor,
     check_sensor,
-    compute_max_depth_mm,
 )
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object

@@ -83,7 +83,8 @@ def find_experiment_problems(experiment: Experiment) -> Iterator[Problem]:
 def _find_recorded_problems(experiment: Experiment, recorded: Recorded) -> Iterator[Problem]:
     """Find problems of an experiment about recordings, before these are read."""
     pins, sensor, fitted = experiment.pins, experiment.sensor, TACTIP_331_FITTED.pins
-    is_fitted = sensor.pins == fitted and not isinstance(sensor, MarkerSensor)
+    is_dome = not (isinstance(sensor, MarkerSensor) or sensor.is_flat)
+    is_fitted = sensor.pins == fitted and is_dome
     if recorded.pairing == "simulated" and not is_fitted:
         problem = f"simulated follows the one sensor that is fitted, of {fitted} pins"
         yield "paired.pairing", f"{problem}; yours, {sensor.name}, has {sensor.pins}"

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from itertools import chain
 
+from jaxunshear.config.contact_rings import compute_contact_angle, compute_max_contact_depth_mm
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.experiment import (
     FURTHER_TESTS,
@@ -13,12 +14,7 @@ from jaxunshear.config.experiment import (
 )
 from jaxunshear.config.network_config import list_trained_networks, takes_taps
 from jaxunshear.config.networks import POSENET, TEACHER
-from jaxunshear.config.sensor import (
-    MarkerSensor,
-    Sensor,
-    compute_contact_angle,
-    compute_max_contact_depth_mm,
-)
+from jaxunshear.config.sensor import MarkerSensor, Sensor
 from jaxunshear.config.stimuli import SHOWN_TARGETS, list_stimulus_names
 from jaxunshear.config.targets import (
     PAPER_TARGETS,
@@ -54,14 +50,15 @@ def _find_reach_problems(
     data: PairedData | PoseData, group: str, sensor: Sensor
 ) -> Iterator[Problem]:
     """Find poses that the sensor does not reach, and a camera that does not see the pins."""
-    ranges, dome = data.ranges, sensor.dome_radius_mm
+    ranges, rim, kind = data.ranges, sensor.radius_mm, "pad" if sensor.is_flat else "dome"
     for field in ("lateral_mm", "move_mm"):
-        if getattr(ranges, field) > dome:
-            remedy = f"use 0 to {dome:g} (the dome's radius): beyond it the target is not touched"
+        if getattr(ranges, field) > rim:
+            remedy = f"use 0 to {rim:g} (the {kind}'s radius): beyond it the target is not touched"
             yield f"{group}ranges.{field}", remedy
     edge = compute_contact_angle(sensor)
     if ranges.tilt_deg >= edge:
-        yield f"{group}ranges.tilt_deg", f"use 0 to below {edge:.0f}, where the dome's contact ends"
+        remedy = f"use 0 to below {edge:.0f}, where the {kind}'s contact ends"
+        yield f"{group}ranges.tilt_deg", remedy
     deepest = compute_max_contact_depth_mm(sensor, ranges.tilt_deg)
     for field, jitter in (
         ("ranges.depth_max_mm", 0.0),
@@ -71,11 +68,11 @@ def _find_reach_problems(
         if depth > deepest:
             remedy = f"to {deepest:.1f} mm at a tilt of {ranges.tilt_deg:g} deg"
             problem = (
-                f"a depth of {depth:g} mm cannot be reached: a dome of radius {dome:g} mm goes"
+                f"a depth of {depth:g} mm cannot be reached: a {kind} of radius {rim:g} mm goes"
             )
             yield f"{group}{field}", f"{problem} {remedy}"
-    if data.camera.distance_mm <= dome:
-        remedy = f"must exceed the dome's radius ({dome:g}): the camera views the pins from above"
+    if data.camera.distance_mm <= rim:
+        remedy = f"must exceed the {kind}'s radius ({rim:g}): the camera views the pins from above"
         yield f"{group}camera.distance_mm", remedy
 
 

@@ -1,7 +1,7 @@
-"""The soft optical tactile sensor: a gel dome under a skin, and the camera that sees its pins.
+"""The soft optical tactile sensor: a dome or pad of gel under a skin, and the camera inside.
 
-Sensor frame: origin at the apex of the undeformed dome, z from the apex towards the camera, x and y
-lateral; mm.
+Sensor frame: origin at the apex of the undeformed dome, or the middle of a pad's face; z from there
+towards the camera, x and y lateral; mm.
 
 A marker layout is one function. In an experiment file it is registered by one line:
 
@@ -72,6 +72,21 @@ class Sensor:
         """Whether markers are dark on a light ground."""
         return False
 
+    @property
+    def is_flat(self) -> bool:
+        """Whether the face is a plane."""
+        return not self.dome_radius_mm
+
+    @property
+    def radius_mm(self) -> float:
+        """Distance of the rim from the axis."""
+        return self.dome_radius_mm
+
+    @property
+    def rim_mm(self) -> float:
+        """Arc from the apex to the rim."""
+        return self.dome_radius_mm * math.pi / 2
+
     def place_pins(self) -> np.ndarray:
         """Place the pins on the flattened dome: (P, 2) mm of arc from the apex.
 
@@ -92,17 +107,53 @@ class Sensor:
         if 2 * self.pin_radius_mm >= spacing:
             remedy = f"pins {spacing:g} mm apart would overlap: use less than half of that"
             yield "pin_radius_mm", remedy
-        if self.skin_mm + self.pin_length_mm >= self.dome_radius_mm:
-            yield "dome_radius_mm", "must exceed skin_mm + pin_length_mm"
+        yield from self._find_size_problems()
         places = self.place_pins()
         is_sound = places.ndim == 2 and places.shape[1:] == (2,) and np.isfinite(places).all()
         if not (is_sound and len(places)):
             yield "layout", f"must place pins at finite (P, 2) mm, not {places.shape}"
-        rim, reach = self.dome_radius_mm * math.pi / 2, np.linalg.norm(places, axis=-1).max()
-        if reach >= rim:
-            problem = f"pins {reach:.1f} mm from the apex go past the dome's rim at {rim:.1f} mm"
+        reach = np.linalg.norm(places, axis=-1).max()
+        if reach >= self.rim_mm:
+            problem = f"pins {reach:.1f} mm from the apex go past the rim at {self.rim_mm:.1f} mm"
             named = "rings" if self.layout in PACKAGE_LAYOUTS else "layout"
             yield named, f"{problem}: use fewer or closer ones"
+
+    def _find_size_problems(self) -> Iterator[Problem]:
+        if self.skin_mm + self.pin_length_mm >= self.dome_radius_mm:
+            yield "dome_radius_mm", "must exceed skin_mm + pin_length_mm"
+
+
+@dataclass(frozen=True)
+class Pad(Sensor):
+    """A flat round pad of gel on a rigid plate, its markers beneath the skin.
+
+    GelSight and DIGIT sensors have such pads, mostly rectangular ones. Sizes and moduli are our
+    choice, within what is usual for them.
+    """
+
+    layout: str = "rectangular"
+    rings: Annotated[int, between(1, 50)] = 7  # markers on either side of the middle one
+    pin_radius_mm: Positive = 0.4  # radius of a white marker
+    pin_length_mm: NotNegative = 0.0  # length from the skin's inner face to the marker
+    pad_radius_mm: Positive = 16.0  # radius of the round pad
+    pad_mm: Positive = 4.0  # thickness of the pad with its skin, from the face to the plate
+    skin_mm: Positive = 0.5  # thickness of the skin
+    skin_modulus_mpa: Positive = 0.3  # Young's modulus of the skin
+    dome_radius_mm: ClassVar[float] = 0.0  # type: ignore[misc] # no setting: the face is flat
+
+    @property
+    def radius_mm(self) -> float:
+        return self.pad_radius_mm
+
+    @property
+    def rim_mm(self) -> float:
+        return self.pad_radius_mm
+
+    def _find_size_problems(self) -> Iterator[Problem]:
+        if self.skin_mm + self.pin_length_mm >= self.pad_mm:
+            yield "pad_mm", "must exceed skin_mm + pin_length_mm"
+        if self.pad_mm > self.pad_radius_mm:
+            yield "pad_mm", f"use at most the pad's radius, {self.pad_radius_mm:g} mm"
 
 
 @dataclass(frozen=True)
@@ -133,7 +184,7 @@ class MarkerSensor(Sensor):
 
 
 MIN_MARKERS = 20
-Sensor.registered |= {kind.__name__: kind for kind in (MarkerSensor, Sensor)}
+Sensor.registered |= {kind.__name__: kind for kind in (MarkerSensor, Pad, Sensor)}
 LayoutFunction = Callable[[Sensor], object]
 
 
@@ -218,8 +269,10 @@ TACTIP_331_FITTED = replace(
     gel_modulus_mpa=0.00702,
 )
 FITTED_FRICTION = 0.386  # between that skin and that edge
+GEL_PAD = Pad(name="gelpad165")
 SENSORS = {
-    sensor.name: sensor for sensor in (TACTIP_331, TACTIP_127, TACTIP_331_FLUSH, TACTIP_331_FITTED)
+    sensor.name: sensor
+    for sensor in (TACTIP_331, TACTIP_127, TACTIP_331_FLUSH, TACTIP_331_FITTED, GEL_PAD)
 }
 
 
@@ -273,6 +326,7 @@ class Camera:
 FLUSH_CAMERA = Camera(mm_across=35.3)
 # fitted to the same contacts as TACTIP_331_FITTED
 FITTED_CAMERA = Camera(mm_across=50.72, distance_mm=66.43, housing=1.262)
+PAD_CAMERA = Camera(mm_across=34.4)  # shows the outermost markers of GEL_PAD at the same place
 
 
 @dataclass(frozen=True)
@@ -306,53 +360,3 @@ class Preprocess:
     mask_radius: Share = 0.48  # radius of the circular mask, as a fraction of `size`
     # automatic crop: distance of the outermost pins from the centre over `size`, as in `Camera`
     outer_pins: OuterPins = 0.375
-
-
-# A contact is solved at points on rings, evenly spaced along the dome's surface from the apex.
-RING_MM = 1.0  # spacing along the surface
-COVERED_ANGLE_DEG = 60.0
-# A node can touch if the undeformed dome there lies below this share of the depth, because the skin
-# yields before the rest arrives. With it, one of 128 slides over all shapes had to be solved again,
-# and pins differ from those with many more nodes by 0.04 px rms.
-REACHED_SHARE = 0.7
-# rings beside the apex: larger domes get wider spacing, small ones narrower
-MIN_RINGS, MAX_RINGS = 8, 21
-
-
-def compute_ring_spacing(sensor: Sensor) -> float:
-    """Compute the arc between neighbouring rings in mm."""
-    covered = sensor.dome_radius_mm * math.radians(COVERED_ANGLE_DEG)
-    # a sensor of benchmarks has a spacing of its own
-    spacing = getattr(sensor, "ring_mm", max(RING_MM, covered / MAX_RINGS))
-    return min(spacing, covered / MIN_RINGS)
-
-
-def compute_ring_arcs(sensor: Sensor) -> np.ndarray:
-    """Compute the arc from the apex to each ring in mm, (rings,); the apex is the first."""
-    spacing = compute_ring_spacing(sensor)
-    last = round(sensor.dome_radius_mm * math.radians(COVERED_ANGLE_DEG) / spacing)
-    return spacing * np.arange(last + 1)
-
-
-def compute_contact_angle(sensor: Sensor) -> float:
-    """Compute the angle from the apex to the last ring in degrees."""
-    return math.degrees(float(compute_ring_arcs(sensor)[-1]) / sensor.dome_radius_mm)
-
-
-def compute_max_depth_mm(sensor: Sensor, tilt_deg: float = 0.0) -> float:
-    """Compute the depth at which the tilted undeformed sphere would touch at its last ring."""
-    covered = max(compute_contact_angle(sensor) - abs(tilt_deg), 0.0)
-    return sensor.dome_radius_mm * (1 - math.cos(math.radians(covered)))
-
-
-def compute_max_contact_depth_mm(sensor: Sensor, tilt_deg: float = 0.0) -> float:
-    """Compute the depth of the deepest contact that is simulated.
-
-    The skin yields, so tilted contacts may go deeper than the undeformed sphere could.
-    """
-    return min(compute_max_depth_mm(sensor), compute_max_depth_mm(sensor, tilt_deg) / REACHED_SHARE)
-
-
-def compute_reach_mm(sensor: Sensor, depth_mm: float) -> float:
-    """Compute how far from its axis the undeformed dome still lies below `depth_mm`."""
-    return math.sqrt(max(2 * sensor.dome_radius_mm * depth_mm - depth_mm**2, 0.0))

@@ -143,14 +143,15 @@ def explain_failure(error: UserError, file: Path) -> UserError:
 
 
 def match_sensor(pin_counts: Sequence[int], max_error: float, place: str) -> Sensor:
-    """Return the sensor whose number of pins is nearest to the median of those in some images.
+    """Return the dome whose number of pins is nearest to the median of those in some images.
 
     Raises UserError if it misses by more than `max_error` of the sensor's pins.
     """
     pins = float(np.median(pin_counts))
-    nearest = min(SENSORS.values(), key=lambda sensor: abs(sensor.pins - pins))
+    domes = [sensor for sensor in SENSORS.values() if not sensor.is_flat]
+    nearest = min(domes, key=lambda sensor: abs(sensor.pins - pins))
     if abs(nearest.pins - pins) > max_error * nearest.pins:
-        presets = ", ".join(f"{sensor.name} ({sensor.pins})" for sensor in SENSORS.values())
+        presets = ", ".join(f"{sensor.name} ({sensor.pins})" for sensor in domes)
         raise UserError(
             f"{place}: about {pins:.0f} pins are found in an image, "
             f"which is none of the known sensors: {presets}"

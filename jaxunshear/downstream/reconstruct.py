@@ -38,7 +38,12 @@ from jaxunshear.downstream.geometry import (
     fit_inverse,
 )
 from jaxunshear.perception.lattice import Lattice
-from jaxunshear.simulator.pin_layout import compute_pin_tips
+from jaxunshear.simulator.pin_layout import (
+    compute_face_points,
+    compute_outward_normals,
+    compute_pin_lattice,
+    compute_pin_tips,
+)
 
 CELL_MM = 0.5
 BLUR_MM = 0.6  # pins are farther apart than cells
@@ -65,9 +70,7 @@ def compute_skin_positions(sensor: Sensor) -> np.ndarray:
 
     Positions are on the outer face, projected along the sensor's axis.
     """
-    centre = np.array([0, 0, sensor.dome_radius_mm])
-    outward = compute_pin_tips(sensor) - centre
-    return sensor.dome_radius_mm * outward[:, :2] / np.linalg.norm(outward, axis=-1, keepdims=True)
+    return compute_face_points(sensor)[:, :2]
 
 
 def transform_to_target(point: np.ndarray, positions: np.ndarray) -> np.ndarray:
@@ -201,8 +204,8 @@ def make_shape_estimators(
     inverse = fit_inverse(lattice, motion, indentation_mm[followed])
     tips = compute_pin_tips(sensor)[:, :2]
     px_per_mm = np.sum((lattice.rest - lattice.centre) * tips) / np.sum(tips**2)
-    towards_axis = np.sqrt(1 - np.sum(rest[near] ** 2, axis=-1) / sensor.dome_radius_mm**2)
-    undeformed = sensor.dome_radius_mm * (1 - towards_axis)
+    undeformed = compute_face_points(sensor)[near, 2]
+    towards_axis = -compute_outward_normals(sensor, compute_pin_lattice(sensor))[near, 2]
 
     def estimate_growth(motion: np.ndarray) -> np.ndarray:
         growth = np.full((len(motion), np.count_nonzero(near)), np.nan)

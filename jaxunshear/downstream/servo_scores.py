@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.config.sensor import Sensor, compute_max_depth_mm
+from jaxunshear.config.contact_rings import compute_max_depth_mm
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.downstream.contour import Contour, measure_contour_distances
 from jaxunshear.downstream.servo import CLOSED, ENDS, LATE, ServoTask, Trajectories, follow_contour
 from jaxunshear.errors import UserError

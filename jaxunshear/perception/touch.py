@@ -124,7 +124,15 @@ def make_touch_gauge(untouched: Lattice, sensor: Sensor) -> TouchGauge:
     centred = untouched.rest - untouched.rest.mean(axis=0)
     mm_per_px = float(np.linalg.norm(tips - tips.mean(axis=0)) / np.linalg.norm(centred))
     stiffness = sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
-    return make_scaled_gauge(untouched, mm_per_px, stiffness, load_weights())
+    return make_scaled_gauge(untouched, mm_per_px, stiffness, _choose_weights(sensor))
+
+
+def _choose_weights(sensor: Sensor) -> TouchWeights:
+    """Choose what was learnt for domes; NaN for a pad, on which nothing was learnt."""
+    weights = load_weights()
+    if sensor.is_flat:
+        return TouchWeights(*(np.full_like(each, np.nan) for each in weights))
+    return weights
 
 
 def make_scaled_gauge(

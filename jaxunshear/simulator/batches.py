@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.config.sensor import Sensor, compute_ring_arcs, compute_ring_spacing
+from jaxunshear.config.contact_rings import compute_ring_arcs, compute_ring_spacing
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.progress import Counter
 from jaxunshear.simulator.contact_problem import (
     ContactProblem,
@@ -165,7 +166,7 @@ def _cut_on_lattice(
     simulation: Simulation, paths: Paths, batch: ContactBatch, placement: LatticePlacement
 ) -> np.ndarray:
     """Cut paths into poses (b, T + 1, 6) of the turned lattice."""
-    poses, _ = cut_increments(paths, simulation.level, simulation.sensor.dome_radius_mm)
+    poses, _ = cut_increments(paths, simulation.level, simulation.sensor.radius_mm)
     poses[..., YAW] += np.radians(60.0 * batch.turn)[:, None]
     poses[..., TILT_X:] = np.einsum(
         "bji,btj->bti", placement.rotation[:, :2, :2], poses[..., TILT_X:]
@@ -249,12 +250,13 @@ def _needs_more_nodes(
 ) -> np.ndarray:
     """Find the scenes (B,) that need nodes that were left out.
 
-    Their contact reaches the last ring, or a neighbour of a loaded node that was left out ends
-    inside the stimulus.
+    Their contact reaches the last ring of a dome, or a neighbour of a loaded node that was left out
+    ends inside the stimulus.
     """
     sensor, dome = simulation.sensor, simulation.dome
     last_ring = batch.nodes >= len(dome.nodes) - 6 * (len(compute_ring_arcs(sensor)) - 1)
-    beyond = np.any(force_n[:, last_ring] != 0, axis=(1, 2))
+    # the last ring of a pad is at its rim, and nothing touches beyond
+    beyond = np.any(force_n[:, last_ring] != 0, axis=(1, 2)) & (not sensor.is_flat)
     loaded = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
     near = np.any(_find_neighbours(sensor)[batch.nodes[loaded]], axis=0)
     near[batch.nodes] = False

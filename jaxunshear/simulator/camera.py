@@ -1,4 +1,4 @@
-"""The pins' view from inside the dome: a pinhole on its axis, and a square grey frame.
+"""The pins' view from inside the sensor: a pinhole on its axis, and a square grey frame.
 
 All pins of a frame are drawn by one product of matrices (rows x pins)(pins x columns): a Gaussian
 is separable, and a Gaussian cut off at 1 is a flat round dot with a soft edge. There are no gathers
@@ -125,6 +125,8 @@ def _make_pin_dots(
     """
     centre = project(camera, tips, sensor) + shift[None, :]
     axis = jnp.asarray([0.0, 0.0, sensor.dome_radius_mm])[None, :] - tips
+    if sensor.is_flat:
+        axis = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1.0]), tips.shape)
     sight = jnp.asarray([0.0, 0.0, camera.distance_mm])[None, :] - tips
     cosine = jnp.sum(axis * sight, -1) / jnp.sqrt(jnp.sum(axis**2, -1) * jnp.sum(sight**2, -1))
     focal_px = _compute_focal_px(camera, sensor)

@@ -40,7 +40,8 @@ class System(NamedTuple):
     inverse: Array  # (dN, dN) of w + RHO times the identity
     spread: Array  # (dN, 3N) moves the nodes in all directions; w itself where d = 3
     nodes: Array  # (N, 3) mm
-    centre_mm: Array  # () height of the dome's centre above its apex
+    centre_mm: Array  # () height above the apex of the point about which a dome or pad tilts
+    radius_mm: Array  # () from the axis to the rim
 
     def displace(self, force: Array) -> Array:
         """Compute how forces (B, N, d) in the sensor frame displace the nodes, (B, N, 3) mm."""

@@ -7,11 +7,16 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import Delaunay
 
-from jaxunshear.config.sensor import Sensor, check_sensor, compute_max_contact_depth_mm
+from jaxunshear.config.contact_rings import compute_max_contact_depth_mm
+from jaxunshear.config.sensor import Sensor, check_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.paths import DEPTH, MIN_LEG_MM, TILT_X, Paths
-from jaxunshear.simulator.pin_layout import compute_pin_lattice
+from jaxunshear.simulator.pin_layout import (
+    compute_outward_normals,
+    compute_pin_lattice,
+    flatten_places,
+)
 from jaxunshear.simulator.scene import Scenes
 from jaxunshear.triangles import find_corners
 
@@ -48,27 +53,18 @@ class Skins(NamedTuple):
 
 
 def compute_indentation(sensor: Sensor, skins: Skins) -> Float[np.ndarray, "B P"]:
-    """Compute the inward normal displacement in mm of the dome's outer face above each pin.
+    """Compute the inward normal displacement in mm of the outer face above each pin.
 
     It is positive where the face is pressed in. A pin beyond the contact nodes, where nothing ever
     touches, has that of the nearest node.
     """
     dome = load_shared_dome(sensor)
-    outward = dome.nodes - np.array([0, 0, sensor.dome_radius_mm])
-    outward = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
+    flat = flatten_places(sensor, dome.nodes)
+    outward = compute_outward_normals(sensor, flat)
     inward = -np.einsum("ni,nim->nm", outward, dome.w.reshape(*outward.shape, -1))
-    corners, weights = _locate_pins(sensor, outward)
+    corners, weights, _ = find_corners(Delaunay(flat), compute_pin_lattice(sensor))
     per_force = np.einsum("pk,pkm->pm", weights, inward[corners])  # mm/N
     return skins.force_n.reshape(len(skins.force_n), -1) @ per_force.T
-
-
-def _locate_pins(sensor: Sensor, outward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find the contact nodes (P, 3) around each pin and their weights, on the flattened dome."""
-    across = np.linalg.norm(outward[:, :2], axis=-1)
-    arc = sensor.dome_radius_mm * np.arctan2(across, -outward[:, 2])
-    flat = outward[:, :2] * (arc / np.maximum(across, 1e-12))[:, None]
-    corners, weights, _ = find_corners(Delaunay(flat), compute_pin_lattice(sensor))
-    return corners, weights
 
 
 def _refuse_scenes(bad: np.ndarray, describe: Callable[[int], str]) -> None:

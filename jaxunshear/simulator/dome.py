@@ -1,4 +1,4 @@
-"""The condensed dome of a sensor: computed once (about 10 s), then cached on disk.
+"""The condensed dome or pad of a sensor: computed once (about 10 s), then cached on disk.
 
 A cache file is a checksum, the harmonics of the compliance (7 MB), and the settings they belong to.
 A damaged file is reported and made again. Two processes at the same work each put a complete file
@@ -20,14 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.config.sensor import (
-    RING_MM,
-    Sensor,
-    check_sensor,
-    compute_ring_arcs,
-    compute_ring_spacing,
-    describe_sensor,
-)
+from jaxunshear.config.contact_rings import RING_MM, compute_ring_arcs, compute_ring_spacing
+from jaxunshear.config.sensor import Pad, Sensor, check_sensor, describe_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import cache_folder
 from jaxunshear.progress import Counter, Progress
@@ -39,7 +33,7 @@ from jaxunshear.simulator.elasticity import (
     compute_response,
     sum_harmonics,
 )
-from jaxunshear.simulator.mesh import make_dome_mesh
+from jaxunshear.simulator.mesh import make_dome_mesh, make_pad_mesh
 from jaxunshear.simulator.pin_layout import compute_pin_levers, compute_pin_tips
 
 VERSION = 5  # of what a cache file means: raise it with every change of the model
@@ -87,7 +81,11 @@ def _mesh_mm(sensor: Sensor) -> float:
 
 def _compute(sensor: Sensor, varied: bool, progress: Counter | None = None) -> HarmonicResponse:
     check_sensor(sensor)
-    mesh = make_dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, _mesh_mm(sensor))
+    if isinstance(sensor, Pad):
+        size = sensor.pad_radius_mm, sensor.pad_mm
+        mesh = make_pad_mesh(*size, sensor.skin_mm, _mesh_mm(sensor))
+    else:
+        mesh = make_dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, _mesh_mm(sensor))
     gel = compute_isotropic_stiffness(sensor.gel_modulus_mpa, sensor.gel_poisson)
     skin = compute_isotropic_stiffness(sensor.skin_modulus_mpa, sensor.skin_poisson)
     materials = np.where(mesh.skin[:, None, None], skin, gel)

@@ -251,7 +251,7 @@ def advance_increment(
     increment is solved PASSES times, first with gaps where the nodes were, then with gaps where
     they came to lie.
     """
-    length = compute_increment_length(skin.pose, pose, problem.system.centre_mm / 4)
+    length = compute_increment_length(skin.pose, pose, problem.system.radius_mm / 4)
     moving = jnp.any(pose != skin.pose, axis=-1)
     goal = (solver.tolerance * jnp.clip(length, LEAST_MM, MOST_MM)).astype(skin.force.dtype)
     tolerance = jnp.where(moving & ~jnp.asarray(failed), goal, jnp.inf)

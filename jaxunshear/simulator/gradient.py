@@ -89,6 +89,7 @@ class PinModel:
     compliances: Compliances
     nodes: Array  # (N, 3)
     centre_mm: Array
+    radius_mm: Array
     tips: Array  # (P, 3) pin tips at rest
     obstacles: Obstacles
     obstacle_index: Array  # (B,)
@@ -139,10 +140,11 @@ def make_pin_model(
         compliances=_load_compliances(sensor, ratios or (sensor_ratio,), index),
         nodes=jnp.asarray(rest.nodes[index]),
         centre_mm=jnp.asarray(sensor.dome_radius_mm),
+        radius_mm=jnp.asarray(sensor.radius_mm),
         tips=jnp.asarray(rest.pins),
         obstacles=simulation.obstacles,
         obstacle_index=jnp.asarray(paths.stimulus, jnp.int32),
-        shares=jnp.asarray(compute_path_shares(paths, simulation.level, sensor.dome_radius_mm)),
+        shares=jnp.asarray(compute_path_shares(paths, simulation.level, sensor.radius_mm)),
         max_touching=int(TOUCHING_SHARE * usual.sum(axis=1).max(initial=0)) + 1,
     )
 
@@ -199,7 +201,7 @@ def simulate_pins(
     w, g = model.compliances.interpolate(model.log_ratio if log_ratio is None else log_ratio)
     inverse = jnp.linalg.inv(jax.lax.stop_gradient(w) + RHO * jnp.eye(len(w), dtype=w.dtype))
     problem = ContactProblem(
-        System(w, inverse, w, model.nodes, model.centre_mm),
+        System(w, inverse, w, model.nodes, model.centre_mm, model.radius_mm),
         model.obstacles,
         model.obstacle_index,
         friction,

@@ -123,7 +123,7 @@ def _make_pass(
     """Make one pass over an increment, which keeps nothing but the force for going back."""
     system, friction = problem.system, problem.friction
     moves = jnp.any(pose != skin.pose, axis=-1)
-    length = jnp.where(moves, compute_increment_length(skin.pose, pose, system.centre_mm / 4), 0)
+    length = jnp.where(moves, compute_increment_length(skin.pose, pose, system.radius_mm / 4), 0)
 
     @partial(
         jax.checkpoint,

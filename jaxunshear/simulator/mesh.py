@@ -1,7 +1,7 @@
 """Meshes of a body of revolution: 8-node quadrilaterals in the half-plane (r, z), and pins on them.
 
 The dome is a quarter disk: a square core on the axis, then layers out to the arc, so that no
-element degenerates. Read `make_dome_mesh` first.
+element degenerates. A pad is a rectangle. Read `make_dome_mesh` first.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,9 @@ _CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
 _SIDES = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]], float)
 _EDGES = [[0, 4, 1], [1, 5, 2], [2, 6, 3], [3, 7, 0]]  # of an element: end, middle, end
 GAUSS = _CORNERS[[0, 1, 3, 2]] / np.sqrt(3)  # 2 x 2 points of reduced integration
+_PLACES = (np.concatenate([_CORNERS, _SIDES]) + 1).astype(int)  # in half sides of an element
 _ON_AXIS_MM = 1e-9
+MIN_SKIN_LAYERS, MIN_GEL_LAYERS = 2, 6  # of a pad: a thin layer bends and shears
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,38 @@ def make_dome_mesh(radius: float, skin: float, h: float) -> Mesh:
     on_arc = np.abs(np.hypot(*points.T) - radius) < 1e-6 * radius
     clamped = np.flatnonzero(points[:, 1] < 1e-9)
     return Mesh(nodes, elements, skin_elements, clamped, find_edges(points, elements, on_arc))
+
+
+def make_pad_mesh(radius: float, thickness: float, skin: float, h: float) -> Mesh:
+    """Make a round pad of `radius` under a skin, clamped at the plate behind it.
+
+    Elements have at most about the size h, and there are at least two in the skin and six in the
+    gel. Lengths are in mm; z runs from the face (z = 0) to the plate (z = `thickness`).
+    """
+    gel = thickness - skin
+    layers = max(round(skin / h), MIN_SKIN_LAYERS), max(round(gel / h), MIN_GEL_LAYERS)
+    heights = np.concatenate(
+        [np.linspace(0, skin, layers[0] + 1)[:-1], np.linspace(skin, thickness, layers[1] + 1)]
+    )
+    across = np.linspace(0, radius, max(round(radius / h), 2) + 1)
+    r, z = (
+        np.insert(ends, np.arange(1, len(ends)), (ends[1:] + ends[:-1]) / 2)
+        for ends in (across, heights)
+    )
+    corner = np.stack(np.meshgrid(np.arange(len(across) - 1), np.arange(len(heights) - 1)), -1)
+    corner = 2 * corner.reshape(-1, 2)
+    nodes, number = np.unique(
+        (corner[:, None] + _PLACES).reshape(-1, 2), axis=0, return_inverse=True
+    )
+    points = np.stack([r[nodes[:, 0]], z[nodes[:, 1]]], axis=-1)
+    elements = number.reshape(-1, 8)
+    return Mesh(
+        points,
+        elements,
+        corner[:, 1] < 2 * layers[0],
+        np.flatnonzero(nodes[:, 1] == len(z) - 1),
+        find_edges(points, elements, nodes[:, 1] == 0),
+    )
 
 
 class DiskElements(NamedTuple):

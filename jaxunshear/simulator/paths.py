@@ -75,7 +75,7 @@ def cut_increments(
     """Cut the paths into poses, angles in rad, each padded by staying at its end.
 
     The numbers of increments come second. Twists count as motion at `radius_mm` / 4 of the axis,
-    tilts at the dome's radius.
+    tilts at `radius_mm`.
     """
     points = paths.radians
     change = np.diff(points, axis=1)

@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxunshear.config.sensor import REACHED_SHARE, Sensor
+from jaxunshear.config.contact_rings import REACHED_SHARE
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.stimuli import Outline
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.elasticity import Compliance
@@ -181,10 +182,10 @@ def find_reachable_nodes(
     simulation: Simulation, paths: Paths, wide: bool
 ) -> Bool[np.ndarray, "B N"]:
     """Find the contact nodes that each path can bring into contact; `wide` searches further."""
-    centre_mm = simulation.sensor.dome_radius_mm
+    radius_mm = simulation.sensor.radius_mm
     points = paths.radians
     change = np.diff(points, axis=1)
-    swept = np.linalg.norm(change[..., :2], axis=-1) + centre_mm * np.linalg.norm(
+    swept = np.linalg.norm(change[..., :2], axis=-1) + radius_mm * np.linalg.norm(
         change[..., TURNS], axis=-1
     )
     pieces = 1 << int(np.ceil(np.log2(max(swept.max(initial=0) / BETWEEN_POSES_MM, 1))))
@@ -200,7 +201,7 @@ def find_reachable_nodes(
         mask = _can_touch(
             simulation.obstacles,
             jnp.asarray(simulation.dome.nodes, jnp.float32),
-            jnp.float32(centre_mm),
+            jnp.float32(simulation.sensor.dome_radius_mm),
             jnp.asarray(paths.stimulus[rows], jnp.int32),
             jnp.asarray(np.swapaxes(poses[rows], 0, 1)),
             tilted,
@@ -233,8 +234,8 @@ def make_plan(simulation: Simulation, paths: Paths, wide: bool = False) -> list[
     tilted = np.any(paths.points[..., TILT_X:] != 0, axis=(1, 2))
     friction = np.ones(count, bool)
     if "friction" in level.omit:
-        friction = _needs_friction(paths) | tilted
-    _, steps = cut_increments(paths, level, simulation.sensor.dome_radius_mm)
+        friction = _needs_friction(paths, simulation.sensor) | tilted
+    _, steps = cut_increments(paths, level, simulation.sensor.radius_mm)
     kinds = np.stack([mask.any(axis=1), friction, tilted], -1)
     batches = []
     for kind in np.unique(kinds, axis=0):
@@ -251,12 +252,13 @@ def make_plan(simulation: Simulation, paths: Paths, wide: bool = False) -> list[
     return batches
 
 
-def _needs_friction(paths: Paths) -> np.ndarray:
-    """Find the paths (B,) that need friction: not those without, nor shallow presses."""
+def _needs_friction(paths: Paths, sensor: Sensor) -> np.ndarray:
+    """Find the paths (B,) that need friction: not those without, nor shallow presses of a dome."""
     sideways = np.delete(paths.points, DEPTH, axis=-1)
     straight = np.all(sideways == sideways[:, :1], axis=(1, 2))
     shallow = np.max(paths.points[..., DEPTH], axis=1) <= FRICTIONLESS_TAP_MM
-    return (paths.friction > 0) & ~(straight & shallow)
+    # a pad that is pressed by a tenth of its thickness spreads: friction holds it back
+    return (paths.friction > 0) & ~(straight & shallow & (not sensor.is_flat))
 
 
 def _choose_turns(mask: np.ndarray, nodes: np.ndarray) -> np.ndarray:

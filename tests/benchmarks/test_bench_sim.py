@@ -8,7 +8,7 @@ import pytest
 from benchmarks import bench_figure, bench_sim, other_solvers
 from benchmarks.bench_sim import Effort, Setting, set_ring_spacing
 from benchmarks.bench_sim import bench_sim as bench
-from jaxunshear.config.sensor import compute_ring_spacing
+from jaxunshear.config.contact_rings import compute_ring_spacing
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.level import LEVELS
 from jaxunshear.simulator.scene import Scenes

@@ -109,7 +109,7 @@ def test_the_names_of_the_stimuli_are_those_of_the_scene():
 
 
 def test_depths_beyond_the_contact_model_are_refused():
-    from jaxunshear.config.sensor import compute_max_depth_mm
+    from jaxunshear.config.contact_rings import compute_max_depth_mm
 
     for excess, refused in ((-0.01, False), (0.01, True)):
         depth_mm = compute_max_depth_mm(PLAIN.sensor) + excess

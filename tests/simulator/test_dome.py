@@ -12,17 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxunshear.config.sensor import (
-    SENSORS,
-    TACTIP_127,
-    TACTIP_331,
-    Sensor,
-    check_sensor,
+from jaxunshear.config.contact_rings import (
     compute_contact_angle,
     compute_max_depth_mm,
     compute_reach_mm,
     compute_ring_arcs,
 )
+from jaxunshear.config.sensor import SENSORS, TACTIP_127, TACTIP_331, Sensor, check_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.simulator import elasticity
 from jaxunshear.simulator.dome import (
@@ -58,7 +54,7 @@ def cache(tmp_path, monkeypatch):
 
 
 def test_the_rings_of_the_sensors_cover_sixty_degrees():
-    for sensor in SENSORS.values():
+    for sensor in (each for each in SENSORS.values() if not each.is_flat):
         np.testing.assert_array_equal(compute_ring_arcs(sensor), np.arange(22.0))
         assert 60 <= compute_contact_angle(sensor) < 60.5
     for radius in (1.0, 5.0, 12.0, 19.9, 20.5, 35.0, 200.0):

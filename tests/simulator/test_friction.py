@@ -39,7 +39,7 @@ def system(half_space, near):
     w = w / (np.trace(w) / len(w))
     nodes = np.column_stack([half_space.nodes[near, :2], half_space.sphere(SPHERE_MM)[near]])
     inverse = np.linalg.inv(w + RHO * np.eye(len(w)))
-    return System(*(jnp.asarray(field, jnp.float32) for field in (w, inverse, w, nodes, 1.0)))
+    return System(*(jnp.asarray(field, jnp.float32) for field in (w, inverse, w, nodes, 1.0, 1.0)))
 
 
 @pytest.fixture(scope="module")

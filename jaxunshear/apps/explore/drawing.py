@@ -13,7 +13,8 @@ from skimage.measure import find_contours
 
 from jaxunshear.angles import rotate_2d
 from jaxunshear.apps.explore.explorer import FREE, SLIPPING, STUCK, Touch, TouchResult
-from jaxunshear.config.sensor import Sensor, compute_reach_mm
+from jaxunshear.config.contact_rings import compute_reach_mm
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.perception.drawing import encode_png
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.pin_layout import compute_pin_tips

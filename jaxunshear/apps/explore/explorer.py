@@ -17,8 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from jaxunshear.config.contact_rings import compute_ring_spacing
 from jaxunshear.config.data import PairedData, Ranges
-from jaxunshear.config.sensor import Sensor, compute_ring_spacing
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.targets import SIMULATED_FIELDS
 from jaxunshear.data.recordings import read_image
 from jaxunshear.data.sensor_frame import SensorFrame
@@ -257,6 +258,8 @@ def make_explorer(model: TrainedModel, own_stimuli: tuple[Stimulus, ...] = ()) -
     For networks over pins, its frame shows where pins rest in recordings.
     """
     paired = model.require_simulation("explore")
+    if model.sensor.is_flat:
+        raise UserError(f"explore draws domes, and {model.sensor.name} is a pad")
     model = simulated = replace(model, force=True)
     if model.reads_pins:
         simulated = replace(model, frame=_make_simulated_frame(model.sensor, paired))

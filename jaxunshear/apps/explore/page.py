@@ -92,7 +92,7 @@ def _build_controls(tab: Tab) -> None:
             on_change=lambda event: tabs.on_stimulus(tab, event.value),
         ).props("dense outlined options-dense")
         ui.select(
-            list(SENSORS),
+            [name for name, sensor in SENSORS.items() if not sensor.is_flat],
             value=touch.sensor.name,
             label="sensor",
             on_change=lambda event: tabs.on_change(tab, sensor=SENSORS[event.value]),

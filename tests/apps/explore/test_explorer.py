@@ -30,7 +30,8 @@ from jaxunshear.apps.explore.explorer import (
     make_explorer,
     simulate_touch,
 )
-from jaxunshear.config.sensor import SENSORS, compute_max_depth_mm
+from jaxunshear.config.contact_rings import compute_max_depth_mm
+from jaxunshear.config.sensor import SENSORS
 from jaxunshear.config.stimuli import Outline
 from jaxunshear.errors import UserError
 from jaxunshear.inference.trained_model import load_model
