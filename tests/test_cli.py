@@ -28,7 +28,7 @@ BAD_FIELDS = [
     ("--train.epoch 5", "did you mean --train.epochs?"),
     ("--train.epochs five", "takes a number, not 'five'"),
     ("--unshear.size 96", "differs from the data set's images"),
-    ("--sensor.rings 40", "past the dome's rim"),
+    ("--sensor.rings 40", "past the rim"),
     ("stray", "stray"),
 ]
 

@@ -11,6 +11,8 @@ from jaxunshear.config.sensor import (
     FITTED_CAMERA,
     FITTED_FRICTION,
     FLUSH_CAMERA,
+    GEL_PAD,
+    PAD_CAMERA,
     TACTIP_331,
     TACTIP_331_FITTED,
     TACTIP_331_FLUSH,
@@ -43,6 +45,11 @@ SKIN_RANGES: Json = FITTED | {  # contacts such as recordings of an edge have
 # the greatest depth at which a dome that leans so far touches within its contact rings
 TILTED: Json = FITTED | {"ranges": Ranges(depth_max_mm=5.0, tilt_deg=25.0)}
 TWISTED: Json = FITTED | {"ranges": Ranges(twist_deg=5.0)}
+ON_PAD: Json = {
+    "stimuli": ("edge", "disk", "clover", "teardrop"),
+    "camera": PAD_CAMERA,
+    "ranges": Ranges(yaw_deg=180.0, depth_min_mm=0.4, depth_max_mm=1.2, move_mm=1.5),
+}
 
 PAIRED = {
     each.config: each
@@ -52,6 +59,7 @@ PAIRED = {
         PairedData(config="calibrated", **FITTED),
         PairedData(config="standard", poses=1200, **FITTED),
         PairedData(config="skin", poses=750, **SKIN_RANGES),
+        PairedData(config="pad", poses=750, **ON_PAD),
         PairedData(config="parted", poses=800, **SHARED_SLIDES, **FITTED),
         PairedData(config="end_to_end", poses=3200, **SHARED_SLIDES, **FITTED_256),
         PairedData(config="twisted", poses=200, **SHARED_SLIDES, **TWISTED),
@@ -69,6 +77,7 @@ POSE = {
         PoseData(config="calibrated", **FITTED),
         PoseData(config="standard", poses=3000, **FITTED),
         PoseData(config="skin", poses=1000, **SKIN_RANGES),
+        PoseData(config="pad", poses=1000, **ON_PAD),
         PoseData(config="parted", poses=1600, **FITTED),
         PoseData(config="end_to_end", poses=6400, **FITTED_256),
         PoseData(config="tilted", poses=1200, **TILTED),
@@ -84,7 +93,8 @@ CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {
 
 
 def get_config_sensor(config: str) -> Sensor:
-    return {"tiny": TACTIP_331, "demo": TACTIP_331_FLUSH}.get(config, TACTIP_331_FITTED)
+    others = {"tiny": TACTIP_331, "demo": TACTIP_331_FLUSH, "pad": GEL_PAD}
+    return others.get(config, TACTIP_331_FITTED)
 
 
 def describe_set(settings: DataSettings, sensor: Sensor) -> dict:

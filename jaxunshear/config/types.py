@@ -118,7 +118,8 @@ def replace_value(settings: Any, name: str, value: Value) -> Any:
     first, _, rest = name.partition(".")
     if isinstance(settings, Mapping):
         return {**settings, name: value}
-    if not hasattr(settings, first):
+    fields = dataclasses.fields(settings) if dataclasses.is_dataclass(settings) else ()
+    if first not in [field.name for field in fields]:
         raise UserError(
             f"this experiment has no field {first} there: "
             f"its {type(settings).__name__} has other fields"

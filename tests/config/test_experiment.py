@@ -12,8 +12,10 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import list_field_types, override_fields, replace_field
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.rules import find_experiment_problems, validate
+from jaxunshear.config.sensor import GEL_PAD
 from jaxunshear.config.stimuli import StimulusName
 from jaxunshear.config.training import Training
+from jaxunshear.config.types import list_hints
 from jaxunshear.errors import UserError
 
 PLAIN = Experiment(name="plain", claim="none")
@@ -48,12 +50,15 @@ def test_every_field_can_be_overridden_by_what_it_is_shown_as():
     from jaxunshear.config.fields import format_value
 
     recorded = dataclasses.replace(PLAIN, paired=Recorded(), pose=RecordedTaps())
+    on_pad = dataclasses.replace(PLAIN, sensor=GEL_PAD)
     shown = set()
     for name in list_field_types():
-        for experiment in (PLAIN, recorded):  # some fields are of simulated sets alone
+        # some fields are of simulated sets alone, of domes or of pads
+        for experiment in (PLAIN, recorded, on_pad):
             value = experiment
             for part in name.split("."):
-                value = getattr(value, part, MISSING)
+                names = list_hints(type(value)) if dataclasses.is_dataclass(value) else ()
+                value = getattr(value, part) if part in names else MISSING
             if value is not MISSING:
                 shown.add(name)
                 text = format_value(value).strip("'")
