@@ -22,6 +22,8 @@ from jaxunshear.config.data import MAX_SEED
 from jaxunshear.config.sensor import (
     FITTED_CAMERA,
     FITTED_FRICTION,
+    GEL_PAD,
+    PAD_CAMERA,
     TACTIP_127,
     TACTIP_331_FITTED,
     Camera,
@@ -44,12 +46,12 @@ from jaxunshear.simulator.simulate import simulate
 
 CONTACTS = 300  # taps, and as many slides, of 331 pins
 MIN_CONTACTS = 30  # with fewer a split of `fit` may be empty
-FEWER = 5  # times fewer contacts of 127 pins
+FEWER = 5  # times fewer contacts of other sensors
 UNTOUCHED = 20  # frames
 CAMERA_FRAMES = 40
 STIMULUS = "edge"
-ACROSS_MM, DEPTH_MM = (-5.0, 5.0), (2.0, 4.5)  # of the poses; angles are over the full circle
-SLIDE_MM, TWIST_DEG = 3.0, 5.0  # slides move, and turn, by up to this
+ACROSS_MM = -5.0, 5.0  # of the poses; angles are over the full circle
+TWIST_DEG = 5.0  # slides turn by up to this
 RENDERED_AT_ONCE = 16
 # of the progress, by time: to solve a contact is one step
 HARMONIC_STEPS, RENDER_STEPS = 4.0, 0.5  # for a harmonic of a dome, and to render a contact
@@ -57,16 +59,19 @@ CAMERA_PX = 480  # side of grey frames as a camera gives them
 
 
 class DemoSensor(NamedTuple):
-    """A sensor, its camera, and its folder."""
+    """A sensor, its camera, its folder, and its contacts."""
 
     name: str
     sensor: Sensor
     camera: Camera
+    depth_mm: tuple[float, float] = (2.0, 4.5)
+    slide_mm: float = 3.0  # slides move by up to this
 
 
 SENSORS = (
     DemoSensor("331_pins", TACTIP_331_FITTED, FITTED_CAMERA),
     DemoSensor("127_pins", TACTIP_127, Camera()),
+    DemoSensor("165_markers", GEL_PAD, PAD_CAMERA, (0.4, 1.2), 1.5),
 )
 
 
@@ -81,10 +86,11 @@ class Labels(NamedTuple):
 
 
 def write_demo_data(folder: Path, contacts: int = CONTACTS, seed: int = 0) -> None:
-    """Write taps, slides, untouched frames and grey frames of the camera, for 331 and 127 pins.
+    """Write taps, slides, untouched frames and grey frames of the camera, for each of SENSORS.
 
-    `contacts` is the number of taps, and of slides to their poses, of 331 pins. The same seed gives
-    the same bits. Raises UserError if the folder is not empty, or a number cannot be.
+    `contacts` is the number of taps, and of slides to their poses, of the first; others have fewer.
+    The same seed gives the same bits. Raises UserError if the folder is not empty, or a number
+    cannot be.
     """
     check_new_folder(folder, "DIR")
     if folder.is_dir() and any(folder.iterdir()):
@@ -93,7 +99,8 @@ def write_demo_data(folder: Path, contacts: int = CONTACTS, seed: int = 0) -> No
         raise UserError(f"--contacts {contacts}: use {MIN_CONTACTS} or more, so that `fit` can run")
     if not 0 <= seed <= MAX_SEED:
         raise UserError(f"--seed {seed}: use 0 to {MAX_SEED}")
-    counts = contacts, max(MIN_CONTACTS, contacts // FEWER)
+    fewer = max(MIN_CONTACTS, contacts // FEWER)
+    counts = contacts, *[fewer] * (len(SENSORS) - 1)
     folder = folder.resolve()
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as place:
@@ -108,7 +115,7 @@ def write_demo_data(folder: Path, contacts: int = CONTACTS, seed: int = 0) -> No
 
 def _write_sensor(folder: Path, demo: DemoSensor, count: int, seed: int, progress: Counter) -> None:
     load_dome(demo.sensor, Stage(progress, HARMONIC_STEPS))
-    labels = sample_labels(count, seed)
+    labels = sample_labels(demo, count, seed)
     pose, move = convert_labels(labels)
     scenes = make_scenes((STIMULUS,), np.zeros(2 * count, int), pose, move, FITTED_FRICTION)
     touched = simulate(demo.sensor, (STIMULUS,), scenes, progress=progress)
@@ -131,14 +138,14 @@ def _write_sensor(folder: Path, demo: DemoSensor, count: int, seed: int, progres
     progress.advance(RENDER_STEPS * 2 * count)
 
 
-def sample_labels(count: int, seed: int) -> Labels:
+def sample_labels(demo: DemoSensor, count: int, seed: int) -> Labels:
     """Sample `count` taps at random poses of an edge, then a slide to each of these poses."""
     generator = np.random.default_rng(seed)
     pose, move = np.zeros((2 * count, 6)), np.zeros((2 * count, 6))
-    columns = {1: ACROSS_MM, 2: DEPTH_MM, 5: (-180.0, 180.0)}
+    columns = {1: ACROSS_MM, 2: demo.depth_mm, 5: (-180.0, 180.0)}
     for column, limits in columns.items():
         pose[:, column] = np.tile(generator.uniform(*limits, count), 2)
-    move[count:, :2] = generator.uniform(-SLIDE_MM, SLIDE_MM, (count, 2))
+    move[count:, :2] = generator.uniform(-demo.slide_mm, demo.slide_mm, (count, 2))
     move[count:, 5] = generator.uniform(-TWIST_DEG, TWIST_DEG, count)
     return Labels(np.round(pose, 6), np.round(move, 6))
 

@@ -10,7 +10,7 @@ from jaxunshear.calibration.labels import make_paths as make_labelled_paths
 from jaxunshear.calibration.labels import read_motions
 from jaxunshear.config.sensor import TACTIP_331_FITTED, Preprocess
 from jaxunshear.data.recordings import read_image, read_recordings
-from jaxunshear.demo_data import convert_labels, sample_labels, write_demo_data
+from jaxunshear.demo_data import SENSORS, convert_labels, sample_labels, write_demo_data
 from jaxunshear.simulator.paths import make_paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.scene import make_scenes
@@ -42,14 +42,14 @@ def test_the_same_seed_gives_a_recording_of_the_same_bits(quick, tmp_path):
         {path.relative_to(root): path.read_bytes() for path in root.rglob("*.*")}
         for root in (tmp_path / "a", tmp_path / "b", tmp_path / "c")
     ]
-    assert len(files[0]) == 2 * (5 + 1 + 6 + 1 + 3 + 1 + 2)  # one tap is left out
+    assert len(files[0]) == 3 * (5 + 1 + 6 + 1 + 3 + 1 + 2)  # one tap is left out
     assert files[0] == files[1] and files[0].keys() == files[2].keys()
     assert not {a for a in files[0] if files[0][a] == files[2][a]}
 
 
 def test_it_is_read_with_its_labels(quick, tmp_path):
     write_demo_data(tmp_path / "demo", 6)
-    for pins in ("331_pins", "127_pins"):
+    for pins in ("331_pins", "127_pins", "165_markers"):
         parts = {}
         for kind in ("edge/tap", "edge/shear", "camera", "untouched"):
             parts[kind] = read_recordings(tmp_path / "demo" / pins / kind, Preprocess(size=128))
@@ -64,7 +64,7 @@ def test_it_is_read_with_its_labels(quick, tmp_path):
 
 
 def test_labels_mean_what_calibration_takes_them_for():
-    labels = sample_labels(50, 3)
+    labels = sample_labels(SENSORS[0], 50, 3)
     pose, move = convert_labels(labels)
     simulated = make_paths(make_scenes(("edge",), np.zeros(100, int), pose, move)).points
     motions = read_motions(labels.pose, labels.move)
@@ -101,5 +101,5 @@ def test_the_next_commands_are_named(quick, tmp_path, command):
 def test_one_line_of_progress_counts_domes_and_contacts(quick, tmp_path, capsys):
     write_demo_data(tmp_path / "demo", 6)
     (line,) = capsys.readouterr().err.splitlines()
-    steps = 2 * (2 * 6 * (1 + demo_data.RENDER_STEPS) + 10 * demo_data.HARMONIC_STEPS)
+    steps = 3 * (2 * 6 * (1 + demo_data.RENDER_STEPS) + 10 * demo_data.HARMONIC_STEPS)
     assert line.startswith(f"simulate: {steps:g}/{steps:g} steps, ")

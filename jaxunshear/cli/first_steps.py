@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 DEFAULT_MODELS = (Path("skin"), Path("skin127"))  # for 331 and for 127 pins
 NEXT_STEPS = """\
-{folder}: 331_pins and 127_pins, each with edge (taps and slides), camera and untouched; try
+{folder}: 331_pins, 127_pins and, of a flat pad, 165_markers;
+each with edge (taps and slides), camera and untouched; try
   jaxunshear doctor {folder}/331_pins/edge
   jaxunshear show {folder}/331_pins/edge/shear
   jaxunshear fit --taps {folder}/331_pins/edge/tap --slides {folder}/331_pins/edge/shear \
@@ -28,7 +29,7 @@ NEXT_STEPS = """\
     path("folder", "DIR", "a new or an empty folder"),
     integer(
         "--contacts",
-        "taps, and as many slides, of 331 pins; of 127 pins a fifth (default: 300)",
+        "taps, and as many slides, of 331 pins; of other sensors a fifth (default: 300)",
         300,
     ),
     integer("--seed", "seed of poses, slides and noise (default: 0)", 0),
