@@ -9,13 +9,15 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch, Polygon, Wedge
+from matplotlib.patches import Circle, FancyBboxPatch, Polygon, Wedge
 
-from jaxunshear.config.sensor import TACTIP_331, Sensor
+from jaxunshear.config.sensor import GEL_PAD, TACTIP_331, Sensor
 from jaxunshear.simulator.mesh import make_dome_mesh
 from jaxunshear.simulator.pin_layout import compute_pin_levers, compute_pin_tips
+from jaxunshear.simulator.scene import make_scenes
+from jaxunshear.simulator.simulate import simulate
 from jaxunshear.style import FAINT, INK, STYLE
 
 FIGURES = Path(__file__).with_name("figures")
@@ -27,6 +29,7 @@ SKIN, GEL, OBJECT, BLUE, ORANGE, GREEN = (
     "#d9822b",
     "#2a9d6f",
 )
+DRAWN_MOTION = 2.5  # times the motion of a pad's markers
 LINE, CODE, SHEAR = "#cfe0fb", "#d5efe2", "#f6e3cc"
 NETWORK_BOXES = (  # x, y, width, height, text, colour
     (0.6, 1.5, 1.3, 0.8, "sheared\nimage", GEL),
@@ -214,6 +217,24 @@ def draw_tap_slide() -> Figure:
     return figure
 
 
+def draw_pad() -> Figure:
+    """Draw how the markers of a pad move in a tap on an edge, and in a slide to the same pose."""
+    pose, move = np.tile([1.0, 0.0, 30.0, 0.9], (2, 1)), np.array([[0, 0, 0], [1.2, 0.8, 0]])
+    scenes = make_scenes(("edge",), np.zeros(2, int), pose, move, 0.7)
+    pins, rest = simulate(GEL_PAD, ("edge",), scenes).pins, compute_pin_tips(GEL_PAD)
+    half = GEL_PAD.radius_mm + 0.5
+    figure, axes = make_figure(7.2, 3.7, (-half, 3 * half, -half, half))
+    for number, title in enumerate(("tap", "slide to the same pose")):
+        middle = 2 * half * number
+        axes.add_patch(Circle((middle, 0), GEL_PAD.radius_mm, color=GEL))
+        start = rest[:, :2] + [middle, 0]
+        end = start + DRAWN_MOTION * (pins[number] - rest)[:, :2]
+        axes.add_collection(LineCollection(np.stack([start, end], 1), color=BLUE, linewidth=1))
+        axes.plot(*start.T, "o", color=FAINT, markersize=2.5)
+        axes.text(middle, -12.0, title, ha="center", color=INK)
+    return figure
+
+
 def draw_networks() -> Figure:
     figure, axes = make_figure(8, 3, (-0.4, 10.2, -0.3, 3.3))
     for x, y, width, height, text, colour in NETWORK_BOXES:
@@ -245,6 +266,7 @@ DIAGRAMS = {
     "frames": draw_frames,
     "tap_slide": draw_tap_slide,
     "networks": draw_networks,
+    "pad": draw_pad,
     "flow": draw_flow,
 }
 

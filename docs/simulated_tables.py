@@ -29,6 +29,7 @@ REGULARISATION = {
     "lambda 10": "1e-3, of a kernel's mean; and lambda 10",
 }
 MAIN_KINDS = ("tap", "sheared", "entangled", "disentangled")
+LEARNT = ("disentangled", "sheared_learnt")  # unsheared, and read from slides directly
 EDGE_TITLES = {"edge distance error, mm": ("edge_mm", 2), "edge angle error, deg": ("edge_deg", 1)}
 
 
@@ -110,6 +111,23 @@ def tabulate_standard_first() -> str:
     paper = ["1", "0.32", "0.90", "0.93"]
     lines.append(format_line("MS-SSIM, real, 256 px (paper, Table 1)", paper))
     return "\n".join([*lines, *_list_edge_lines(metrics, ", simulated")])
+
+
+def tabulate_pad() -> str:
+    """Tabulate likeness and errors on the simulated pad, and the share of damage undone."""
+    metrics = load_cells("pad")[0].metrics
+    digits = {"edge_mm": 2, "edge_deg": 1, "depth_mm": 3}
+    lines = start_table(
+        "| PoseNet reads | MS-SSIM@4 | edge distance, mm | edge angle, deg | depth, mm |"
+    )
+    for kind in (*MAIN_KINDS[:2], *LEARNT):
+        likeness = metrics.get(f"ms_ssim/{kind}")
+        cells = [format_interval(likeness, 3) if likeness else ""]
+        lines.append(format_line(KINDS[kind], [*cells, *_format_errors(metrics, kind, digits)]))
+    for kind in LEARNT:
+        recoveries = _format_errors(metrics, kind, dict.fromkeys(digits, 2), "pose_recovery")
+        lines.append(format_line(f"recovery: {KINDS[kind]}", ["", *recoveries]))
+    return "\n".join(lines)
 
 
 def tabulate_shear_code() -> str:

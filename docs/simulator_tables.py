@@ -47,6 +47,10 @@ PROBLEMS = {
         (".*: share",),
     ),
     "oblique press without slip (Mindlin and Deresiewicz)": ("Mindlin-Deresiewicz", ("oblique",)),
+    "a pad as an elastic layer on a plate: pressed, pulled, the same across": (
+        "a pad of one material against an elastic layer on a plate",
+        (".*: pressed", ".*: pulled, x", ".*: pulled, y"),
+    ),
     "edge passed in steps of 0.05 mm, by taps, by slides: a step against the one before": (
         "the dome",
         ("edge passed by taps", "edge passed by slides"),
