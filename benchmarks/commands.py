@@ -86,6 +86,11 @@ COMMANDS = {
         "bench_contacts",
         ("recordings", "seed"),
     ),
+    "layouts": Benchmark(
+        "what networks of one layout of pins are worth with another layout",
+        "bench_layouts",
+        ("seed",),
+    ),
     "adapt": Benchmark(
         "what `jaxunshear adapt` is worth if the camera has moved",
         "bench_adapt",
