@@ -93,6 +93,7 @@ TABLES = {
         simulated_tables.tabulate_recoveries,
         simulated_tables.tabulate_demo,
     ),
+    "docs/layouts.md": (simulated_tables.tabulate_layouts,),
     "docs/pads.md": (simulated_tables.tabulate_pad,),
     "docs/pose-estimators.md": (simulated_tables.tabulate_ridge,),
     "docs/error-against-time.md": (

@@ -11,9 +11,11 @@ from docs.reading import (
     format_figures,
     format_interval,
     format_line,
+    format_range,
     format_ratio,
     load_cells,
     load_result,
+    load_runs,
     start_table,
 )
 from jaxunshear.evaluation.measurements import PAPER
@@ -30,6 +32,7 @@ REGULARISATION = {
 }
 MAIN_KINDS = ("tap", "sheared", "entangled", "disentangled")
 LEARNT = ("disentangled", "sheared_learnt")  # unsheared, and read from slides directly
+LAYOUTS = {"skin": "rings", "skin127": "hexagonal"}  # of released networks
 EDGE_TITLES = {"edge distance error, mm": ("edge_mm", 2), "edge angle error, deg": ("edge_deg", 1)}
 
 
@@ -127,6 +130,27 @@ def tabulate_pad() -> str:
     for kind in LEARNT:
         recoveries = _format_errors(metrics, kind, dict.fromkeys(digits, 2), "pose_recovery")
         lines.append(format_line(f"recovery: {KINDS[kind]}", ["", *recoveries]))
+    return "\n".join(lines)
+
+
+def tabulate_layouts() -> str:
+    """Tabulate errors of networks that read another layout of pins: means and range of seeds."""
+    runs = load_runs("layouts")
+    digits = {"edge_mm": 2, "edge_deg": 1, "depth_mm": 3}
+    lines = start_table(
+        "| network, and what it reads | edge distance, mm: slides | unsheared "
+        "| edge angle, deg: slides | unsheared | depth, mm: slides | unsheared |"
+    )
+    for title in dict.fromkeys(name.rpartition("/")[0] for name in runs[0]):
+        network, layout = title.split("/")
+        pins = runs[0][f"{title}/edge_mm"]["pins"]
+        cells = [
+            format_range([run[f"{title}/{target}"][kind] for run in runs], places)
+            for target, places in digits.items()
+            for kind in ("slides", "unsheared")
+        ]
+        own = " (its own layout)" if LAYOUTS[network] == layout else ""
+        lines.append(format_line(f"`{network}`: {pins} pins, {layout}{own}", cells))
     return "\n".join(lines)
 
 
