@@ -87,7 +87,7 @@ COMMANDS = {
         ("recordings", "seed"),
     ),
     "layouts": Benchmark(
-        "what networks of one layout of pins are worth with another layout",
+        "how exact networks are on a dome with another layout of pins",
         "bench_layouts",
         ("seed",),
     ),

@@ -47,7 +47,7 @@ PROBLEMS = {
         (".*: share",),
     ),
     "oblique press without slip (Mindlin and Deresiewicz)": ("Mindlin-Deresiewicz", ("oblique",)),
-    "a pad as an elastic layer on a plate: pressed, pulled, the same across": (
+    "a pad as an elastic layer: pressed; pulled, motion along and across the pull": (
         "a pad of one material against an elastic layer on a plate",
         (".*: pressed", ".*: pulled, x", ".*: pulled, y"),
     ),

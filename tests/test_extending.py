@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxunshear.config import losses, sensor
+from jaxunshear.config import layouts, losses, sensor
 from jaxunshear.config import networks as names
 from jaxunshear.config.configs import describe_set
 from jaxunshear.config.data import SourceSettings
@@ -48,7 +48,7 @@ TABLES = (
     losses.LOSSES,
     names.REGISTRY,
     networks._FUNCTIONS,
-    sensor.LAYOUTS,
+    layouts.LAYOUTS,
     SourceSettings.registered,
     REGISTERED,
 )
@@ -218,7 +218,7 @@ def test_a_layout_that_no_file_has_registered_is_refused_and_a_name_is_taken_onc
     load_experiment(experiment_file(LAYOUT))
     with pytest.raises(UserError, match="layout 'rings' is there already"):
         load_experiment(experiment_file(LAYOUT.replace('out("square")', 'out("rings")')))
-    del sensor.LAYOUTS["square"]
+    del layouts.LAYOUTS["square"]
     with pytest.raises(UserError, match=r"sensor\.layout square: is unknown: use one of rings"):
         validate(experiment)
     with pytest.raises(UserError, match="layout 'square' is unknown"):

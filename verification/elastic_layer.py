@@ -1,9 +1,10 @@
 """A pad against closed forms of an elastic layer on a rigid plate.
 
-Pressure, or pull, acts on a disk of the face, constant and then falling to zero from one ring of
-nodes to the next. The layer of thickness h answers to a wave of wavenumber k by a factor each for
-pressure, for pull along the wave and for pull across it (Johnson 1985, Contact Mechanics, 5.8; with
-a = k h and K = 3 - 4 nu, and G the shear modulus):
+Pressure, or a pull, acts on a disk of the face. It is constant there and falls to zero from one
+ring of nodes to the next. A wave of stress displaces the face by the stress times a factor, which
+depends on the wavenumber k and the layer's thickness h. There is a factor for pressure, for a pull
+along the wave, and for a pull across it (Johnson 1985, Contact Mechanics, 5.8). With a = k h, K = 3
+- 4 nu and the shear modulus G they are:
 
     pressure  (1 - nu) / (G k)  (2 K sinh 2a - 4 a) / (2 K cosh 2a + 4 a^2 + 1 + K^2)
     along     (1 - nu) / (G k)  (2 K sinh 2a + 4 a) / (2 K cosh 2a + 4 a^2 + 1 + K^2)

@@ -90,7 +90,9 @@ def calibrate(
     if wrong := [name for name in fixed if name not in UNITS]:
         raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(UNITS)}")
     if sensor is not None and sensor.is_flat:
-        raise UserError(f"sensor '{sensor.name}' is a pad: only domes are calibrated")
+        raise UserError(
+            f"sensor '{sensor.name}' is a pad, and only domes are calibrated: name a dome"
+        )
     recorded, notes = sample_folders(Path(path), images, SEED)
     start = make_values(sensor or _find_sensor(recorded, path), camera or Camera(), ABS_FRICTION)
     groups = observe_groups(recorded, start, notes)

@@ -17,7 +17,7 @@ COVERED_ANGLE_DEG = 60.0
 REACHED_SHARE = 0.7
 # rings beside the apex: larger faces get wider spacing, small ones narrower
 MIN_RINGS, MAX_RINGS = 8, 21
-PRESSED_SHARE = 1 / 3  # of a pad's thickness: deeper contacts are far from linear
+PRESSED_SHARE = 1 / 3  # of a pad's thickness: deeper contacts are not simulated
 
 
 def compute_ring_spacing(sensor: Sensor) -> float:
@@ -25,14 +25,15 @@ def compute_ring_spacing(sensor: Sensor) -> float:
     covered = _compute_covered_mm(sensor)
     # a sensor of benchmarks has a spacing of its own
     spacing = getattr(sensor, "ring_mm", max(RING_MM, covered / MAX_RINGS))
-    return min(spacing, covered / MIN_RINGS)
+    spacing = min(spacing, covered / MIN_RINGS)
+    # the hats of the last ring end at a pad's rim
+    return covered / round(covered / spacing) if sensor.is_flat else spacing
 
 
 def compute_ring_arcs(sensor: Sensor) -> np.ndarray:
     """Compute the arc from the apex to each ring in mm, (rings,); the apex is the first."""
     spacing = compute_ring_spacing(sensor)
     last = round(_compute_covered_mm(sensor) / spacing)
-    # the hats of the last ring end at a pad's rim
     return spacing * np.arange(last + 1 - sensor.is_flat)
 
 
@@ -44,9 +45,10 @@ def _compute_covered_mm(sensor: Sensor) -> float:
 
 
 def compute_contact_angle(sensor: Sensor) -> float:
-    """Compute the tilt in degrees at which an upright sensor's deepest contact reaches its rim.
+    """Compute the tilt in degrees from which on no contact can be simulated.
 
-    On a dome that is the angle from the apex to the last ring.
+    On a dome it is the angle from the apex to the last ring. The rim of a pad is then pressed by
+    `PRESSED_SHARE` of its thickness before its middle is touched.
     """
     if isinstance(sensor, Pad):
         return math.degrees(math.asin(PRESSED_SHARE * sensor.pad_mm / sensor.pad_radius_mm))
@@ -56,11 +58,12 @@ def compute_contact_angle(sensor: Sensor) -> float:
 def compute_max_depth_mm(sensor: Sensor, tilt_deg: float = 0.0) -> float:
     """Compute the depth at which the tilted undeformed sphere would touch at its last ring.
 
-    The rim of a tilted pad is pressed by at most `PRESSED_SHARE` of its thickness.
+    For a pad it is the depth of the middle at which the rim is pressed by `PRESSED_SHARE` of the
+    thickness; beyond `compute_contact_angle` it is negative.
     """
     if isinstance(sensor, Pad):
         lowered = sensor.pad_radius_mm * math.sin(math.radians(min(abs(tilt_deg), 90.0)))
-        return max(PRESSED_SHARE * sensor.pad_mm - lowered, 0.0)
+        return PRESSED_SHARE * sensor.pad_mm - lowered
     covered = max(compute_contact_angle(sensor) - abs(tilt_deg), 0.0)
     return sensor.dome_radius_mm * (1 - math.cos(math.radians(covered)))
 
@@ -68,7 +71,7 @@ def compute_max_depth_mm(sensor: Sensor, tilt_deg: float = 0.0) -> float:
 def compute_max_contact_depth_mm(sensor: Sensor, tilt_deg: float = 0.0) -> float:
     """Compute the depth of the deepest contact that is simulated.
 
-    The skin yields, so tilted contacts may go deeper than the undeformed sphere could.
+    The skin yields, so tilted contacts of a dome may go deeper than the undeformed sphere could.
     """
     if sensor.is_flat:
         return compute_max_depth_mm(sensor, tilt_deg)

@@ -86,7 +86,7 @@ def _find_recorded_problems(experiment: Experiment, recorded: Recorded) -> Itera
     is_dome = not (isinstance(sensor, MarkerSensor) or sensor.is_flat)
     is_fitted = sensor.pins == fitted and is_dome
     if recorded.pairing == "simulated" and not is_fitted:
-        problem = f"simulated follows the one sensor that is fitted, of {fitted} pins"
+        problem = f"simulated follows the one dome that is fitted, of {fitted} pins"
         yield "paired.pairing", f"{problem}; yours, {sensor.name}, has {sensor.pins}"
     if recorded.direct_taps == "rendered" and not uses_pins(experiment):
         yield "paired.direct_taps", "rendered is for networks over pins: use recorded"

@@ -57,7 +57,8 @@ def _find_reach_problems(
             yield f"{group}ranges.{field}", remedy
     edge = compute_contact_angle(sensor)
     if ranges.tilt_deg >= edge:
-        remedy = f"use 0 to below {edge:.0f}, where the {kind}'s contact ends"
+        limit = f"{edge:.1f}" if sensor.is_flat else f"{edge:.0f}"
+        remedy = f"use 0 to below {limit}, where the {kind}'s contact ends"
         yield f"{group}ranges.tilt_deg", remedy
     deepest = compute_max_contact_depth_mm(sensor, ranges.tilt_deg)
     for field, jitter in (
@@ -66,13 +67,13 @@ def _find_reach_problems(
     ):
         depth = ranges.depth_max_mm + jitter
         if depth > deepest:
-            remedy = f"to {deepest:.1f} mm at a tilt of {ranges.tilt_deg:g} deg"
-            problem = (
-                f"a depth of {depth:g} mm cannot be reached: a {kind} of radius {rim:g} mm goes"
-            )
+            size = f"{sensor.height_mm:g} mm thick" if sensor.is_flat else f"of radius {rim:g} mm"
+            remedy = f"to {deepest:.2g} mm at a tilt of {ranges.tilt_deg:g} deg"
+            problem = f"a depth of {depth:g} mm cannot be reached: a {kind} {size} goes"
             yield f"{group}{field}", f"{problem} {remedy}"
-    if data.camera.distance_mm <= rim:
-        remedy = f"must exceed the {kind}'s radius ({rim:g}): the camera views the pins from above"
+    if data.camera.distance_mm <= sensor.height_mm:
+        size = f"thickness ({sensor.height_mm:g})" if sensor.is_flat else f"radius ({rim:g})"
+        remedy = f"must exceed the {kind}'s {size}: the camera views the pins from above"
         yield f"{group}camera.distance_mm", remedy
 
 

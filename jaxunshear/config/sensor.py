@@ -2,21 +2,16 @@
 
 Sensor frame: origin at the apex of the undeformed dome, or the middle of a pad's face; z from there
 towards the camera, x and y lateral; mm.
-
-A marker layout is one function. In an experiment file it is registered by one line:
-
-    @register_layout("line")
-    def place_pins(sensor):  # returns (P, 2) mm of arc from the apex, on the flattened dome
-        return sensor.pin_spacing_mm * np.stack([np.arange(-5, 6), np.zeros(11)], axis=-1)
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
 
+from jaxunshear.config.layouts import LAYOUTS, PACKAGE_LAYOUTS, explain_layouts
 from jaxunshear.config.types import (
     Bound,
     Fraction,
@@ -25,7 +20,6 @@ from jaxunshear.config.types import (
     Problem,
     Share,
     between,
-    claim_name,
     raise_first_problem,
 )
 from jaxunshear.errors import UserError
@@ -53,7 +47,7 @@ class Sensor:
     # registers
     layout: str = "rings"
     rings: Annotated[int, between(1, 50)] = 10  # rings of pins, around the one at the apex
-    pin_spacing_mm: Positive = 1.5  # from ring to ring, along the dome
+    pin_spacing_mm: Positive = 1.5  # from ring to ring, along the face
     pin_radius_mm: Positive = 0.45  # radius of a white tip
     pin_length_mm: NotNegative = 1.0  # length from the skin's inner face to the white tip
     dome_radius_mm: Positive = 20.0  # outer radius of the dome
@@ -75,11 +69,21 @@ class Sensor:
     @property
     def is_flat(self) -> bool:
         """Whether the face is a plane."""
-        return not self.dome_radius_mm
+        return False
 
     @property
     def radius_mm(self) -> float:
         """Distance of the rim from the axis."""
+        return self.dome_radius_mm
+
+    @property
+    def height_mm(self) -> float:
+        """Height of the rigid base above the apex."""
+        return self.dome_radius_mm
+
+    @property
+    def pivot_mm(self) -> float:
+        """Height above the apex of the point about which the sensor tilts."""
         return self.dome_radius_mm
 
     @property
@@ -88,18 +92,18 @@ class Sensor:
         return self.dome_radius_mm * math.pi / 2
 
     def place_pins(self) -> np.ndarray:
-        """Place the pins on the flattened dome: (P, 2) mm of arc from the apex.
+        """Place the pins on the flattened face: (P, 2) mm of arc from the apex.
 
         Pins in rings are ordered ring by ring, each counter-clockwise from +x. Raises UserError for
         an unknown layout.
         """
         if self.layout not in LAYOUTS:
-            raise UserError(f"sensor '{self.name}': layout '{self.layout}' {_explain_layouts()}")
+            raise UserError(f"sensor '{self.name}': layout '{self.layout}' {explain_layouts()}")
         return np.asarray(LAYOUTS[self.layout](self), float)
 
     def find_problems(self) -> Iterator[Problem]:
         if self.layout not in LAYOUTS:
-            yield "layout", _explain_layouts()
+            yield "layout", explain_layouts()
         for name, value in vars(self).items():
             if isinstance(value, float) and not math.isfinite(value):
                 yield name, "must be finite"
@@ -139,11 +143,23 @@ class Pad(Sensor):
     pad_mm: Positive = 4.0  # thickness of the pad with its skin, from the face to the plate
     skin_mm: Positive = 0.5  # thickness of the skin
     skin_modulus_mpa: Positive = 0.3  # Young's modulus of the skin
-    dome_radius_mm: ClassVar[float] = 0.0  # type: ignore[misc] # no setting: the face is flat
+    dome_radius_mm: ClassVar[float] = 0.0  # type: ignore[misc] # no setting of a pad
+
+    @property
+    def is_flat(self) -> bool:
+        return True
 
     @property
     def radius_mm(self) -> float:
         return self.pad_radius_mm
+
+    @property
+    def height_mm(self) -> float:
+        return self.pad_mm
+
+    @property
+    def pivot_mm(self) -> float:
+        return 0.0
 
     @property
     def rim_mm(self) -> float:
@@ -185,63 +201,6 @@ class MarkerSensor(Sensor):
 
 MIN_MARKERS = 20
 Sensor.registered |= {kind.__name__: kind for kind in (MarkerSensor, Pad, Sensor)}
-LayoutFunction = Callable[[Sensor], object]
-
-
-def place_in_rings(sensor: Sensor) -> np.ndarray:
-    """Place pins on circles of 1, 6, 12, ... around the apex."""
-    points = [np.zeros((1, 2))]
-    for ring in range(1, sensor.rings + 1):
-        angle = 2 * np.pi * (np.arange(6 * ring) / (6 * ring))
-        points.append(ring * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
-    return sensor.pin_spacing_mm * np.concatenate(points)
-
-
-def place_in_hexagon(sensor: Sensor) -> np.ndarray:
-    """Place pins on a triangular lattice, cut to a hexagon."""
-    angle = np.arange(7) * np.pi / 3
-    corners = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    points = [np.zeros((1, 2))]
-    for ring in range(1, sensor.rings + 1):
-        side, along = np.divmod(6 * (np.arange(6 * ring) / (6 * ring)), 1.0)
-        side, along = side.astype(int), along[:, None]
-        points.append(ring * (corners[side] * (1 - along) + corners[side + 1] * along))
-    return sensor.pin_spacing_mm * np.concatenate(points)
-
-
-def place_in_rectangle(sensor: Sensor) -> np.ndarray:
-    """Place pins on a square lattice, cut to a rectangle as wide as `rings` on either side."""
-    across, up = sensor.rings, round(0.75 * sensor.rings)
-    grid = np.meshgrid(np.arange(-across, across + 1), np.arange(-up, up + 1))
-    return sensor.pin_spacing_mm * np.stack(grid, axis=-1).reshape(-1, 2)
-
-
-LAYOUTS: dict[str, LayoutFunction] = {
-    "rings": place_in_rings,
-    "hexagonal": place_in_hexagon,
-    "rectangular": place_in_rectangle,
-}
-PACKAGE_LAYOUTS = tuple(LAYOUTS)
-
-
-def _explain_layouts() -> str:
-    names = ", ".join(LAYOUTS)
-    return f"is unknown: use one of {names}, or name the experiment file that registers it"
-
-
-def register_layout(name: str) -> Callable[[LayoutFunction], LayoutFunction]:
-    """Register a function as a marker layout that a sensor can name.
-
-    The function takes the `Sensor` and returns places (P, 2) on the flattened dome, in mm of arc
-    from the apex. Raises UserError if another layout has this name.
-    """
-
-    def register(place_pins: LayoutFunction) -> LayoutFunction:
-        claim_name("layout", name, LAYOUTS, place_pins.__code__.co_filename)
-        LAYOUTS[name] = place_pins
-        return place_pins
-
-    return register
 
 
 def describe_sensor(sensor: Sensor) -> dict[str, object]:

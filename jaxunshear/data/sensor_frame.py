@@ -154,7 +154,8 @@ def match_sensor(pin_counts: Sequence[int], max_error: float, place: str) -> Sen
         presets = ", ".join(f"{sensor.name} ({sensor.pins})" for sensor in domes)
         raise UserError(
             f"{place}: about {pins:.0f} pins are found in an image, "
-            f"which is none of the known sensors: {presets}"
+            f"which is none of the known domes: {presets}; for another sensor make a file by "
+            "`jaxunshear layout`, and name it by --layout"
         )
     return nearest
 

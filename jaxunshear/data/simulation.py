@@ -23,7 +23,8 @@ from jaxunshear.cluster import Call, CallRunner, WorkerDied, run_locally
 from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.sensor import LAYOUTS, Camera, LayoutFunction, Nuisance, Preprocess, Sensor
+from jaxunshear.config.layouts import LAYOUTS, LayoutFunction
+from jaxunshear.config.sensor import Camera, Nuisance, Preprocess, Sensor
 from jaxunshear.config.splits import BLOCK
 from jaxunshear.data.chunks import Chunk, pack_bits, write_chunks
 from jaxunshear.data.sampling import ContactSamples, sample_pairs

@@ -124,13 +124,13 @@ def make_touch_gauge(untouched: Lattice, sensor: Sensor) -> TouchGauge:
     centred = untouched.rest - untouched.rest.mean(axis=0)
     mm_per_px = float(np.linalg.norm(tips - tips.mean(axis=0)) / np.linalg.norm(centred))
     stiffness = sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
-    return make_scaled_gauge(untouched, mm_per_px, stiffness, _choose_weights(sensor))
+    return make_scaled_gauge(untouched, mm_per_px, stiffness, _select_weights(sensor))
 
 
-def _choose_weights(sensor: Sensor) -> TouchWeights:
-    """Choose what was learnt for domes; NaN for a pad, on which nothing was learnt."""
+def _select_weights(sensor: Sensor) -> TouchWeights:
+    """Select what was learnt on domes; NaN for other sensors, on which nothing was learnt."""
     weights = load_weights()
-    if sensor.is_flat:
+    if sensor.is_flat or isinstance(sensor, MarkerSensor):
         return TouchWeights(*(np.full_like(each, np.nan) for each in weights))
     return weights
 
@@ -160,8 +160,7 @@ def make_recorded_gauge(lattice: Lattice, sensor: Sensor) -> TouchGauge:
     simulated camera. Of 331 pins that one, and the sensor, were fitted to real images.
     """
     if isinstance(sensor, MarkerSensor):
-        unknown = TouchWeights(*(np.full_like(each, np.nan) for each in load_weights()))
-        return make_scaled_gauge(lattice, 1.0, 1.0, unknown)
+        return make_scaled_gauge(lattice, 1.0, 1.0, _select_weights(sensor))
     is_fitted = lattice.rest.shape == (TACTIP_331_FITTED.pins, 2)
     sensor, camera = (TACTIP_331_FITTED, FITTED_CAMERA) if is_fitted else (sensor, Camera())
     model = compute_rest_lattice(sensor, camera, Preprocess())

@@ -118,12 +118,14 @@ def _check_depths(sensor: Sensor, points: np.ndarray) -> None:
     _refuse_scenes(depth > deepest, describe)
 
 
-def check_start_at_rest(paths: Paths) -> None:
+def check_start_at_rest(sensor: Sensor, paths: Paths) -> None:
     """Refuse paths without a skin to start from that stay in contact: their slide is unknown."""
     still = np.all(np.abs(np.diff(paths.points, axis=1)) < MIN_LEG_MM, axis=(1, 2))
     depth = paths.points[:, 0, DEPTH]
+    tilt = np.radians(np.linalg.norm(paths.points[:, 0, TILT_X:], axis=-1))
+    lowered = sensor.radius_mm * np.sin(tilt) if sensor.is_flat else 0.0  # of a pad's rim
     _refuse_scenes(
-        still & (depth > 0),
+        still & (depth > -lowered),
         lambda i: (
             f"its path stays where it begins, at depth {depth[i]:.3g} mm: "
             "begin at depth 0, or give the skin to start from"

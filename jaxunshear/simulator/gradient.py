@@ -139,7 +139,7 @@ def make_pin_model(
         log_ratio=jnp.asarray(np.log(sensor_ratio)),
         compliances=_load_compliances(sensor, ratios or (sensor_ratio,), index),
         nodes=jnp.asarray(rest.nodes[index]),
-        centre_mm=jnp.asarray(sensor.dome_radius_mm),
+        centre_mm=jnp.asarray(sensor.pivot_mm),
         radius_mm=jnp.asarray(sensor.radius_mm),
         tips=jnp.asarray(rest.pins),
         obstacles=simulation.obstacles,

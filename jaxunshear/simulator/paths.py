@@ -36,7 +36,8 @@ class Paths:
     A point is x, y (mm), yaw (deg), depth (mm), tilt_x, tilt_y (deg). `depth` is how far the lowest
     point of the undeformed dome, above (x, y), would lie below the stimulus' top. The tilt is a
     rotation vector in the yawed frame, about the dome's centre, so that it moves neither the lowest
-    point nor its depth. At the first point the skin is at rest.
+    point nor its depth. A pad tilts about the middle of its face, which lies at `depth`. At the
+    first point the skin is at rest.
     """
 
     stimulus: np.ndarray  # (B,) index into a tuple of stimuli
@@ -153,7 +154,7 @@ def transform_to_level(
 ) -> Float[jax.Array, "B N 3"]:
     """Transform points of the sensor frame to the level frame.
 
-    The lowest point of the dome lies at z = 0 in the level frame.
+    The lowest point of a dome, or the middle of a pad's face, lies at z = 0 in the level frame.
     """
     if frame is None:
         return points

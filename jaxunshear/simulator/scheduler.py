@@ -94,7 +94,7 @@ class ContactBatch(NamedTuple):
 
 
 class _PlacedNodes(NamedTuple):
-    """Nodes under B poses; heights are over the dome's lowest point."""
+    """Nodes under B poses; heights are over the apex, or a dome's lowest point."""
 
     xy: jax.Array  # (B, N, 2) of the displaced nodes, in the target frame
     rest_height: jax.Array  # (B, N)
@@ -169,7 +169,7 @@ def compute_gaps(
     gaps = _compute_gaps(
         simulation.obstacles,
         jnp.asarray(nodes[columns], jnp.float32),
-        jnp.float32(simulation.sensor.dome_radius_mm),
+        jnp.float32(simulation.sensor.pivot_mm),
         jnp.asarray(stimulus_index[rows], jnp.int32),
         jnp.asarray(pose[rows], jnp.float32),
         jnp.asarray(displacement[rows][:, columns], jnp.float32),
@@ -201,7 +201,7 @@ def find_reachable_nodes(
         mask = _can_touch(
             simulation.obstacles,
             jnp.asarray(simulation.dome.nodes, jnp.float32),
-            jnp.float32(simulation.sensor.dome_radius_mm),
+            jnp.float32(simulation.sensor.pivot_mm),
             jnp.asarray(paths.stimulus[rows], jnp.int32),
             jnp.asarray(np.swapaxes(poses[rows], 0, 1)),
             tilted,

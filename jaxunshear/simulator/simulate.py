@@ -113,7 +113,7 @@ def _check(simulation: Simulation, paths: Paths, start: Skins | None) -> None:
     if start is not None:
         check_start(paths, start, len(simulation.dome.nodes))
     else:
-        check_start_at_rest(paths)
+        check_start_at_rest(simulation.sensor, paths)
 
 
 def _take(start: Skins | None, rows: np.ndarray) -> Skins | None:

@@ -70,7 +70,7 @@ def build_system(sensor: Sensor, node_bytes: bytes, friction: bool, precision: s
         _mirror_triangle(as_array(_invert(inverse))),
         shared_w if friction else as_array(spread),
         as_array(nodes),
-        as_array(sensor.dome_radius_mm),
+        as_array(sensor.pivot_mm),
         as_array(sensor.radius_mm),
     )
     return ScaledSystem(system, 1 / scale)

@@ -1,17 +1,24 @@
 """A flat pad: an elastic layer on a plate, its contacts, its limits, and the frames of its camera."""
 
+import json
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxunshear.apps.explore.explorer import make_explorer
 from jaxunshear.calibration.calibrate import calibrate
 from jaxunshear.config.contact_rings import compute_max_contact_depth_mm, compute_ring_arcs
+from jaxunshear.config.fields import override_fields
+from jaxunshear.config.load import load_experiment
+from jaxunshear.config.rules import validate
 from jaxunshear.config.sensor import GEL_PAD, PAD_CAMERA, Nuisance, Preprocess, check_sensor
+from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.data.sensor_frame import match_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice_fitting import compute_rest_lattice, fit_lattice, make_layout
@@ -22,6 +29,7 @@ from jaxunshear.perception.touch import make_touch_gauge, measure_touch
 from jaxunshear.simulator.camera import compute_outer_fraction, project, render_frame
 from jaxunshear.simulator.contacts import compute_indentation
 from jaxunshear.simulator.dome import compute_dome, load_shared_dome
+from jaxunshear.simulator.gradient import make_pin_model, simulate_pins
 from jaxunshear.simulator.harmonics import make_sixfold_permutations
 from jaxunshear.simulator.mesh import make_pad_mesh
 from jaxunshear.simulator.paths import Paths, make_paths
@@ -30,6 +38,7 @@ from jaxunshear.simulator.scene import make_scenes
 from jaxunshear.simulator.simulate import follow, simulate
 from verification.elastic_layer import check_layer
 
+ROOT = Path(__file__).resolve().parents[2]
 SHAPES = ("edge", "disk", "clover", "teardrop")
 FRICTION = 0.7
 
@@ -159,7 +168,7 @@ def test_a_tilted_pad_is_pressed_on_the_side_that_is_lower():
     ]
     assert np.abs(middles[0]).max() < 0.05
     lowest = nodes[np.argmin(nodes[:, 2] - np.sin(np.radians(2)) * nodes[:, 0])]
-    assert np.abs(middles[1][0]) > 1 and np.abs(middles[1][1]) < 0.1 and lowest[0] > 0
+    assert lowest[0] > 0 and middles[1][0] > 1 and np.abs(middles[1][1]) < 0.1
 
 
 def test_the_skin_of_a_press_goes_in_by_its_depth():
@@ -214,24 +223,70 @@ def test_contacts_beyond_linearity_are_refused():
     assert compute_max_contact_depth_mm(GEL_PAD, 2.0) == pytest.approx(
         deepest - 16 * np.sin(np.radians(2))
     )
-    with pytest.raises(UserError, match=r"depth 1\.5 mm cannot be reached; .* covers 1\.3 mm"):
-        press([[0] * 6, [0, 0, 0, 1.5, 0, 0]])
+    for points, message in (
+        ([[0] * 6, [0, 0, 0, 1.5, 0, 0]], r"depth 1\.5 mm cannot be reached; .* covers 1\.3 mm"),
+        ([[0] * 6, [0, 0, 0, 0, 0, 20]], "depth 0 mm cannot be reached at a tilt of 20 deg"),
+        ([[0] * 6, [0, 0, 0, -1, 0, 20]], "depth -1 mm cannot be reached at a tilt of 20 deg"),
+        ([[0, 0, 0, 0, 0, 2]] * 2, "its path stays where it begins"),
+    ):
+        with pytest.raises(UserError, match=message):
+            press(points)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--sensor.pad_mm", "2"], r"depth_max_mm 1\.2: .* a pad 2 mm thick goes to 0\.67 mm"),
+        (["--paired.ranges.tilt_deg", "4.9"], r"tilt_deg 4\.9: use 0 to below 4\.8, where the pad"),
+        (["--paired.camera.distance_mm", "3"], r"must exceed the pad's thickness \(4\)"),
+        (["--paired.ranges.move_mm", "17"], r"use 0 to 16 \(the pad's radius\)"),
+    ],
+)
+def test_settings_that_a_pad_cannot_have_are_refused_in_its_own_words(words, message):
+    experiment = override_fields(load_experiment(ROOT / "experiments" / "pad.py"), words)
+    with pytest.raises(UserError, match=message):
+        validate(experiment)
+
+
+def test_an_experiment_on_a_pad_is_stored_and_read():
+    experiment = load_experiment(ROOT / "experiments" / "pad.py")
+    stored = json.loads(json.dumps(to_json(experiment)))
+    assert from_json(stored) == experiment and "dome_radius_mm" not in stored["sensor"]
+
+
+def test_derivatives_by_pose_agree_with_differences():
+    points = np.array(
+        [[[0, 0, 0, 0, 0, 0], [-3.0, 0.5, 20, 0.6, 0, 0], [-2.2, 0.5, 20, 0.6, 0, 0]]]
+    )
+    small = replace(GEL_PAD, rings=2, pad_radius_mm=6.0)
+    paths = Paths(np.zeros(1, int), np.array([FRICTION]), points)
+    with jax.enable_x64(True):
+        model = make_pin_model(small, ("edge",), paths)
+
+        def place(depth):
+            moved = jnp.asarray(points).at[:, 1:, 3].set(depth)
+            return simulate_pins(model, moved, jnp.asarray(paths.friction)).pins
+
+        slope = jax.jacfwd(place)(0.6)
+        difference = (place(0.6 + 1e-6) - place(0.6 - 1e-6)) / 2e-6
+    assert np.abs(slope).max() > 0.1
+    np.testing.assert_allclose(slope, difference, atol=2e-3 * np.abs(slope).max())
 
 
 def test_what_is_about_domes_refuses_a_pad(tmp_path):
-    with pytest.raises(UserError, match="gelpad165' is a pad: only domes are calibrated"):
+    with pytest.raises(UserError, match="gelpad165' is a pad, and only domes are calibrated: name"):
         calibrate(tmp_path, sensor=GEL_PAD)
     model = SimpleNamespace(require_simulation=lambda what: None, sensor=GEL_PAD)
-    with pytest.raises(UserError, match="explore draws domes, and gelpad165 is a pad"):
+    with pytest.raises(UserError, match="explore draws domes, and gelpad165 is a pad: name"):
         make_explorer(model)
-    with pytest.raises(UserError, match="none of the known sensors"):
+    with pytest.raises(UserError, match=r"none of the known domes: .*`jaxunshear layout`"):
         match_sensor([165], 0.05, "here")
 
 
 def test_wide_and_narrow_pads_have_nodes_up_to_their_rims():
-    for radius in (6.0, 16.0, 40.0):
+    for radius in (6.0, 10.3, 15.5, 16.0, 16.4, 40.0):
         sensor = replace(GEL_PAD, rings=2, pad_radius_mm=radius)
         arcs = compute_ring_arcs(sensor)
-        assert arcs[-1] + arcs[1] == pytest.approx(radius, rel=0.05)
+        assert arcs[-1] + arcs[1] == pytest.approx(radius, rel=1e-9)
     small = compute_dome(replace(GEL_PAD, rings=2, pad_radius_mm=6.0))
     assert np.linalg.eigvalsh(small.w)[0] > 0 and len(make_paths(make_contacts(1))) == 2

@@ -259,7 +259,9 @@ def make_explorer(model: TrainedModel, own_stimuli: tuple[Stimulus, ...] = ()) -
     """
     paired = model.require_simulation("explore")
     if model.sensor.is_flat:
-        raise UserError(f"explore draws domes, and {model.sensor.name} is a pad")
+        raise UserError(
+            f"explore draws domes, and {model.sensor.name} is a pad: name a model of a dome"
+        )
     model = simulated = replace(model, force=True)
     if model.reads_pins:
         simulated = replace(model, frame=_make_simulated_frame(model.sensor, paired))
