@@ -119,7 +119,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 # Files of a folder that share a run or a simulation: one worker takes them all, and makes it once.
 SHARING = {
-    "recordings": ("laboratory", "tasks", "adapt"),
+    "recordings": ("laboratory", "tasks", "adapt", "small_sets"),
     "calibration": ("calibrate", "validate"),
     "evaluation": ("code_swaps", "network_outputs", "stage"),
 }
