@@ -45,6 +45,9 @@ if version("jaxlib").startswith("0.10."):
     FLAGS += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", FLAGS)
 os.environ.setdefault("MPLBACKEND", "Agg")
+# Threads of BLAS and OpenMP sleep while they have no work: other workers need the cores.
+os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 # JAX keeps much of what it compiled; to search it for what nobody needs took 7 % of the time.
 gc.set_threshold(50_000, 20, 100)
 
