@@ -45,6 +45,9 @@ if version("jaxlib").startswith("0.10."):
     FLAGS += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", FLAGS)
 os.environ.setdefault("MPLBACKEND", "Agg")
+# Threads of BLAS and OpenMP sleep while they have no work: other workers need the cores.
+os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 # JAX keeps much of what it compiled; to search it for what nobody needs took 7 % of the time.
 gc.set_threshold(50_000, 20, 100)
 
@@ -119,7 +122,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 # Files of a folder that share a run or a simulation: one worker takes them all, and makes it once.
 SHARING = {
-    "recordings": ("laboratory", "tasks", "adapt"),
+    "recordings": ("laboratory", "tasks", "adapt", "small_sets"),
     "calibration": ("calibrate", "validate"),
     "evaluation": ("code_swaps", "network_outputs", "stage"),
 }

@@ -16,7 +16,7 @@ Codes of `separate_encoders` are ours, not the paper's: both are a few numbers w
 import dataclasses
 import math
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import flax.linen as nn
@@ -145,6 +145,7 @@ def init(net: UnshearNet, key: Array) -> Variables:
         return dict(Network(net).init(key, jnp.zeros((1, side, side, 1))))
 
 
+@cache  # a search for a rival asks of the same networks again
 def count_parameters(net: UnshearNet) -> int:
     """Count the numbers that are trained."""
     shapes = jax.eval_shape(lambda key: init(net, key)["params"], jax.random.key(0))

@@ -12,6 +12,7 @@ import contextlib
 import contextvars
 import json
 import math
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -313,9 +314,12 @@ def get_compile_options() -> dict[str, int] | None:
     """Get the options to compile first states with.
 
     Random numbers for every kernel are much code, which took a CPU longer to optimise than the
-    step. The bits are the same.
+    step. The bits are the same. A level in XLA_FLAGS is kept.
     """
-    return {"xla_backend_optimization_level": 1} if jax.default_backend() == "cpu" else None
+    level = "xla_backend_optimization_level"
+    if level in os.environ.get("XLA_FLAGS", "") or jax.default_backend() != "cpu":
+        return None
+    return {level: 1}
 
 
 def _replace_nan(loss: float | None) -> float:

@@ -17,7 +17,7 @@ TARGETS = ("y_mm", "z_mm", "Rz_deg")
 @pytest.fixture
 def small(monkeypatch):
     """Sizes and trainings of a test."""
-    pins = replace(BASE_EXPERIMENT.pins, conv_channels=(), hidden=32)
+    pins = replace(BASE_EXPERIMENT.pins, conv_channels=(), hidden=32, layers=1)
     training = replace(BASE_EXPERIMENT.train_pins, epochs=2, min_steps=1)
     base = replace(BASE_EXPERIMENT, pins=pins, train_pins=training)
     monkeypatch.setattr(drawn_contacts, "BASE_EXPERIMENT", base)

@@ -19,7 +19,7 @@ from tests.helpers.commands import succeed
 
 PAGE = (ROOT / "docs" / "layouts.md").read_text()
 PAD = Sensor(name="pad", layout="rectangular", rings=4, pin_spacing_mm=2.8, pin_radius_mm=0.7)
-TINY = (*SHORT[2:3], "2", *SHORT[4:], "--paired.validation", "0.2")
+TINY = (*SHORT[2:3], "2", *SHORT[4:], "--paired.validation", "0.2", "--pins.layers", "1")
 
 
 def write_pad(folder, pose, move):

@@ -34,7 +34,7 @@ def folders(recording, tmp_path_factory):
 def run(folders, place):
     words = ["fit", "--recordings", *folders, "--name", "joint_edge_surface", *SHORT[2:]]
     words += ["--paired.validation", "0.2"]  # as in `pins_run`, whose data set it shares
-    words += ["--pins.hidden", "64"]  # enough here, and quicker
+    words += ["--pins.hidden", "64", "--pins.layers", "1"]  # enough here, and quicker
     words += ["--out", place / "runs", "--data", place / "datasets"]
     assert main([str(word) for word in words]) == 0
     return place / "runs" / "joint_edge_surface"

@@ -275,6 +275,14 @@ def test_posenet_trains_and_reports_errors_in_units(tmp_path):
     assert checkpoint.read_targets(tmp_path) == small.TARGETS
 
 
+@pytest.mark.parametrize(("flags", "level"), [("", 1), ("--xla_backend_optimization_level=0", None)])
+def test_a_level_of_xla_flags_is_kept(monkeypatch, flags, level):
+    monkeypatch.setenv("XLA_FLAGS", flags)
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
+    options = trainer.get_compile_options()
+    assert options == (None if level is None else {"xla_backend_optimization_level": level})
+
+
 def test_schedules():
     cosine = make_schedule(Training(learning_rate=1.0), 100, 10)
     np.testing.assert_allclose([cosine(0), cosine(50), cosine(100)], [1, 0.5, 0], atol=1e-6)
