@@ -49,7 +49,7 @@ TOOL_PROGRAMS = {  # the modules that `python -m` starts from
         f"benchmarks {name}": (f"benchmarks.bench_{name}",)
         for name in (
             *("sim", "pins", "lost_pins", "touch", "filter", "data", "contacts", "adapt"),
-            "taps_alone",
+            *("taps_alone", "layouts"),
         )
     },
     "benchmarks needs": ("benchmarks.bench_omissions",),
