@@ -203,7 +203,7 @@ def test_the_process_of_a_data_set_knows_the_layout(experiment_file, tmp_path):
     ("layout", "message"),
     [
         ("return np.full((3, 2), np.nan)", r"layout = square: must place pins"),
-        ("return np.array([[40.0, 0.0]])", "go past the dome's rim"),
+        ("return np.array([[40.0, 0.0]])", "go past the rim"),
     ],
 )
 def test_a_layout_that_cannot_be_is_refused(experiment_file, layout, message):

@@ -87,12 +87,7 @@ def calibrate(
     Returns:
         `rows` (statistics: recorded, before, after), `parameters`, `preset` and `notes`.
     """
-    if wrong := [name for name in fixed if name not in UNITS]:
-        raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(UNITS)}")
-    if sensor is not None and sensor.is_flat:
-        raise UserError(
-            f"sensor '{sensor.name}' is a pad, and only domes are calibrated: name a dome"
-        )
+    _check_arguments(sensor, fixed)
     recorded, notes = sample_folders(Path(path), images, SEED)
     start = make_values(sensor or _find_sensor(recorded, path), camera or Camera(), ABS_FRICTION)
     groups = observe_groups(recorded, start, notes)
@@ -152,6 +147,15 @@ class SimulatedGroups:
             observation = observe_pins(rendered, self.values.sensor)
             parts.append(summarise_group(group, observation, tips.converged))
         return _merge_summaries(parts)
+
+
+def _check_arguments(sensor: Sensor | None, fixed: Collection[str]) -> None:
+    if wrong := [name for name in fixed if name not in UNITS]:
+        raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(UNITS)}")
+    if sensor is not None and sensor.is_flat:
+        raise UserError(
+            f"sensor '{sensor.name}' is a pad, and only domes are calibrated: name a dome"
+        )
 
 
 def _find_sensor(recorded: list[RecordedImages], path: Path) -> Sensor:

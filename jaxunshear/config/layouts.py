@@ -8,19 +8,27 @@ A marker layout is one function. In an experiment file it is registered by one l
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 
 from jaxunshear.config.types import claim_name
 
-if TYPE_CHECKING:
-    from jaxunshear.config.sensor import Sensor
 
-LayoutFunction = Callable[["Sensor"], object]
+class PinSpacing(Protocol):
+    """What the layouts of the package need of a sensor."""
+
+    @property
+    def rings(self) -> int: ...
+
+    @property
+    def pin_spacing_mm(self) -> float: ...
 
 
-def place_in_rings(sensor: "Sensor") -> np.ndarray:
+LayoutFunction = Callable[[Any], object]  # of a `Sensor`
+
+
+def place_in_rings(sensor: PinSpacing) -> np.ndarray:
     """Place pins on circles of 1, 6, 12, ... around the apex."""
     points = [np.zeros((1, 2))]
     for ring in range(1, sensor.rings + 1):
@@ -29,7 +37,7 @@ def place_in_rings(sensor: "Sensor") -> np.ndarray:
     return sensor.pin_spacing_mm * np.concatenate(points)
 
 
-def place_in_hexagon(sensor: "Sensor") -> np.ndarray:
+def place_in_hexagon(sensor: PinSpacing) -> np.ndarray:
     """Place pins on a triangular lattice, cut to a hexagon."""
     angle = np.arange(7) * np.pi / 3
     corners = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -41,7 +49,7 @@ def place_in_hexagon(sensor: "Sensor") -> np.ndarray:
     return sensor.pin_spacing_mm * np.concatenate(points)
 
 
-def place_in_rectangle(sensor: "Sensor") -> np.ndarray:
+def place_in_rectangle(sensor: PinSpacing) -> np.ndarray:
     """Place pins on a square lattice, cut to a rectangle as wide as `rings` on either side."""
     across, up = sensor.rings, round(0.75 * sensor.rings)
     grid = np.meshgrid(np.arange(-across, across + 1), np.arange(-up, up + 1))

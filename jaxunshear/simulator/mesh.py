@@ -121,10 +121,7 @@ def make_pad_mesh(radius: float, thickness: float, skin: float, h: float) -> Mes
         [np.linspace(0, skin, layers[0] + 1)[:-1], np.linspace(skin, thickness, layers[1] + 1)]
     )
     across = np.linspace(0, radius, max(round(radius / h), 2) + 1)
-    r, z = (
-        np.insert(ends, np.arange(1, len(ends)), (ends[1:] + ends[:-1]) / 2)
-        for ends in (across, heights)
-    )
+    r, z = _insert_middles(across), _insert_middles(heights)
     corner = np.stack(np.meshgrid(np.arange(len(across) - 1), np.arange(len(heights) - 1)), -1)
     corner = 2 * corner.reshape(-1, 2)
     nodes, number = np.unique(
@@ -139,6 +136,10 @@ def make_pad_mesh(radius: float, thickness: float, skin: float, h: float) -> Mes
         np.flatnonzero(nodes[:, 1] == len(z) - 1),
         find_edges(points, elements, nodes[:, 1] == 0),
     )
+
+
+def _insert_middles(ends: np.ndarray) -> np.ndarray:
+    return np.insert(ends, np.arange(1, len(ends)), (ends[1:] + ends[:-1]) / 2)
 
 
 class DiskElements(NamedTuple):

@@ -76,12 +76,12 @@ def test_slides_are_along_x_along_y_or_along_both_a_third_each():
     assert np.all(np.abs(move) <= 2.5) and abs(np.mean(np.abs(move[move != 0])) - 1.25) < 0.05
 
 
-def test_only_demo_and_tiny_are_not_of_the_fitted_sensor():
+def test_only_demo_tiny_and_pad_are_not_of_the_fitted_sensor():
     for known in (PAIRED, POSE):
         for name, settings in known.items():
             sensor, friction = get_config_sensor(name), settings.friction
             camera = dataclasses.replace(settings.camera, frame_px=FITTED_CAMERA.frame_px)
-            is_fitted = name not in ("tiny", "demo")
+            is_fitted = name not in ("tiny", "demo", "pad")
             assert (sensor == TACTIP_331_FITTED and friction == FITTED_FRICTION) == is_fitted
             assert (camera == FITTED_CAMERA) == is_fitted
             if name.startswith("paper"):
@@ -141,7 +141,7 @@ def test_friction_is_the_materials(paired):
         ({"seed": -1}, "seed = -1"),
         (
             {"config": "huge"},
-            "config 'huge'.*tiny, demo, calibrated, standard, skin, parted, end_to_end, "
+            "config 'huge'.*tiny, demo, calibrated, standard, skin, pad, parted, end_to_end, "
             "twisted, tilted, paper",
         ),
         ({"ranges": Ranges(depth_min_mm=0.0)}, "depth_min_mm = 0"),

@@ -275,7 +275,9 @@ def test_posenet_trains_and_reports_errors_in_units(tmp_path):
     assert checkpoint.read_targets(tmp_path) == small.TARGETS
 
 
-@pytest.mark.parametrize(("flags", "level"), [("", 1), ("--xla_backend_optimization_level=0", None)])
+@pytest.mark.parametrize(
+    ("flags", "level"), [("", 1), ("--xla_backend_optimization_level=0", None)]
+)
 def test_a_level_of_xla_flags_is_kept(monkeypatch, flags, level):
     monkeypatch.setenv("XLA_FLAGS", flags)
     monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
