@@ -8,7 +8,7 @@ A marker layout is one function. In an experiment file it is registered by one l
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -25,7 +25,7 @@ class PinSpacing(Protocol):
     def pin_spacing_mm(self) -> float: ...
 
 
-LayoutFunction = Callable[[Any], object]  # of a `Sensor`
+LayoutFunction = Callable[..., object]  # of a `Sensor`
 
 
 def place_in_rings(sensor: PinSpacing) -> np.ndarray:
