@@ -35,7 +35,7 @@ def solve_with_duplicates(
         Paths(np.zeros(1, int), np.array([friction]), points[None]), level, sensor.radius_mm
     )
     with jax.enable_x64(level.precision == "float64"):
-        fields = (w, inverse, w, full.nodes[index], sensor.dome_radius_mm, sensor.radius_mm)
+        fields = (w, inverse, w, full.nodes[index], sensor.pivot_mm, sensor.radius_mm)
         system = System(*(jnp.asarray(field, level.precision) for field in fields))
         path = jnp.asarray(poses[0, :, None], level.precision)
         mu = jnp.asarray([friction], level.precision)

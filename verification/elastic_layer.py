@@ -10,8 +10,8 @@ along the wave, and for a pull across it (Johnson 1985, Contact Mechanics, 5.8).
     along     (1 - nu) / (G k)  (2 K sinh 2a + 4 a) / (2 K cosh 2a + 4 a^2 + 1 + K^2)
     across    tanh(a) / (G k)
 
-Hankel transforms sum the waves. For slow waves the factors are those of a block that is pressed
-between plates, h (1 - 2 nu) / (2 G (1 - nu)), and of one that is sheared, h / G.
+Hankel transforms sum the waves. For long waves the factors tend to h (1 - 2 nu) / (2 G (1 - nu)),
+as for a block pressed between plates, and to h / G, as for a sheared block.
 """
 
 from collections.abc import Sequence

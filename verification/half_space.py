@@ -200,9 +200,8 @@ def _build_system(body: HalfSpace, height: np.ndarray, near: np.ndarray) -> Scal
     nodes = np.column_stack([body.nodes[near, :2], height[near]])
     inverse = np.linalg.inv(w + RHO * np.eye(len(w)))
     shared = jnp.asarray(w)
-    system = System(
-        shared, jnp.asarray(inverse), shared, jnp.asarray(nodes), *2 * (jnp.asarray(1.0),)
-    )
+    one = jnp.asarray(1.0)
+    system = System(shared, jnp.asarray(inverse), shared, jnp.asarray(nodes), one, one)
     return ScaledSystem(system, 1 / scale)
 
 

@@ -16,7 +16,7 @@ from jaxunshear.config.types import claim_name
 
 
 class PinSpacing(Protocol):
-    """What the layouts of the package need of a sensor."""
+    """The fields of a sensor that the package's layouts use."""
 
     @property
     def rings(self) -> int: ...

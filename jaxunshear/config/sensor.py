@@ -40,6 +40,7 @@ class Sensor:
     """
 
     registered: ClassVar[dict[str, type["Sensor"]]] = {}
+    is_flat: ClassVar[bool] = False  # whether the face is a plane
 
     name: str = "tactip331"  # the sensor, as `jaxunshear sensors` lists it
     # how pins are placed: "rings", of 1, 6, 12, ... pins; "hexagonal", a triangular lattice cut to
@@ -67,11 +68,6 @@ class Sensor:
         return False
 
     @property
-    def is_flat(self) -> bool:
-        """Whether the face is a plane."""
-        return False
-
-    @property
     def radius_mm(self) -> float:
         """Distance of the rim from the axis."""
         return self.dome_radius_mm
@@ -83,13 +79,13 @@ class Sensor:
 
     @property
     def pivot_mm(self) -> float:
-        """Height above the apex of the point about which the sensor tilts."""
+        """Height above the apex of the point about which the sensor tilts: 0 for a pad."""
         return self.dome_radius_mm
 
     @property
     def rim_mm(self) -> float:
         """Arc from the apex to the rim."""
-        return self.dome_radius_mm * math.pi / 2
+        return self.radius_mm * (1 if self.is_flat else math.pi / 2)
 
     def place_pins(self) -> np.ndarray:
         """Place the pins on the flattened face: (P, 2) mm of arc from the apex.
@@ -144,10 +140,7 @@ class Pad(Sensor):
     skin_mm: Positive = 0.5  # thickness of the skin
     skin_modulus_mpa: Positive = 0.3  # Young's modulus of the skin
     dome_radius_mm: ClassVar[float] = 0.0  # type: ignore[misc] # no setting of a pad
-
-    @property
-    def is_flat(self) -> bool:
-        return True
+    is_flat: ClassVar[bool] = True
 
     @property
     def radius_mm(self) -> float:
@@ -156,14 +149,6 @@ class Pad(Sensor):
     @property
     def height_mm(self) -> float:
         return self.pad_mm
-
-    @property
-    def pivot_mm(self) -> float:
-        return 0.0
-
-    @property
-    def rim_mm(self) -> float:
-        return self.pad_radius_mm
 
     def _find_size_problems(self) -> Iterator[Problem]:
         if self.skin_mm + self.pin_length_mm >= self.pad_mm:

@@ -288,7 +288,8 @@ def test_half_space_in_stick_and_in_slip(half_space):
     with jax.enable_x64(True):
         w = jnp.asarray(half_space.w[np.ix_(rows, rows)] / scale)
         inverse = jnp.linalg.inv(w + RHO * jnp.eye(len(w)))
-        system = System(w, inverse, w, jnp.asarray(nodes), *2 * (jnp.zeros(()),))
+        zero = jnp.zeros(())
+        system = System(w, inverse, w, jnp.asarray(nodes), zero, zero)
 
         def compute_pull(slide, friction):
             path = jnp.zeros((4, 2, 6)).at[1:, :, 3].set(compute_hertz_depth(radius))

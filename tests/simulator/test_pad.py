@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.angles import rotate_2d
 from jaxunshear.apps.explore.explorer import make_explorer
 from jaxunshear.calibration.calibrate import calibrate
 from jaxunshear.config.contact_rings import compute_max_contact_depth_mm, compute_ring_arcs
@@ -32,7 +33,7 @@ from jaxunshear.simulator.dome import compute_dome, load_shared_dome
 from jaxunshear.simulator.gradient import make_pin_model, simulate_pins
 from jaxunshear.simulator.harmonics import make_sixfold_permutations
 from jaxunshear.simulator.mesh import make_pad_mesh
-from jaxunshear.simulator.paths import Paths, make_paths
+from jaxunshear.simulator.paths import Paths
 from jaxunshear.simulator.pin_layout import compute_pin_levers, compute_pin_tips
 from jaxunshear.simulator.scene import make_scenes
 from jaxunshear.simulator.simulate import follow, simulate
@@ -128,13 +129,7 @@ def test_slides_drag_the_markers_along(contacts):
     scenes = make_contacts(12)
     yaw, move = np.radians(scenes.pose[12:, 2]), scenes.move[12:, :2]
     # the move in the sensor frame; friction drags the skin the other way
-    along = np.stack(
-        [
-            np.cos(yaw) * move[:, 0] + np.sin(yaw) * move[:, 1],
-            np.cos(yaw) * move[:, 1] - np.sin(yaw) * move[:, 0],
-        ],
-        axis=-1,
-    )
+    along = rotate_2d(move, -yaw)
     dragged = (slides - taps)[..., :2].mean(axis=1)
     cosine = np.sum(dragged * along, -1) / np.prod(
         [np.linalg.norm(each, axis=-1) for each in (dragged, along)], axis=0
@@ -217,7 +212,7 @@ def test_a_pad_that_cannot_be_is_refused_by_name(changes, message):
         check_sensor(replace(GEL_PAD, **changes))
 
 
-def test_contacts_beyond_linearity_are_refused():
+def test_contacts_that_are_too_deep_are_refused():
     deepest = compute_max_contact_depth_mm(GEL_PAD)
     assert deepest == pytest.approx(4 / 3)
     assert compute_max_contact_depth_mm(GEL_PAD, 2.0) == pytest.approx(
@@ -289,4 +284,4 @@ def test_wide_and_narrow_pads_have_nodes_up_to_their_rims():
         arcs = compute_ring_arcs(sensor)
         assert arcs[-1] + arcs[1] == pytest.approx(radius, rel=1e-9)
     small = compute_dome(replace(GEL_PAD, rings=2, pad_radius_mm=6.0))
-    assert np.linalg.eigvalsh(small.w)[0] > 0 and len(make_paths(make_contacts(1))) == 2
+    assert np.linalg.eigvalsh(small.w)[0] > 0
